@@ -41,8 +41,8 @@ def control(
     controller: Annotated[list[str] | None, typer.Option(help=(
         f"Controller to try, {', '.join(KINDS)}; repeatable; all if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
-        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
-        "and a phase margin of 45 degrees."))] = 1.3,
+        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.6 keeps a gain margin of 8.5 dB "
+        "and a phase margin of 36 degrees, 1.3 of 12.7 dB and 45 degrees."))] = 1.6,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
     drawn: Annotated[int, typer.Option("--draws", min=0, max=1000, help=(
         "Machines to draw from the file's confidences as well; each is identified from a test of its valves and "
@@ -68,6 +68,7 @@ def control(
     from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
     from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
+    from hydroopt.control.valve_test import valve_test
     from hydroopt.files import refuse_directory
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
@@ -83,7 +84,7 @@ def control(
             raise ProblemError(f"'{kind}' is not a controller", where="--controller", remedy=f"use {', '.join(KINDS)}")
     if not 1.05 <= sensitivity <= 4:
         raise ProblemError(f"gains cannot be tuned to a sensitivity of {sensitivity:g}", where="--sensitivity",
-                           remedy="give a number from 1.05 to 4, such as 1.3")
+                           remedy="give a number from 1.05 to 4, such as 1.6")
     if not 0 < gain <= 1000:
         raise ProblemError(f"gains cannot be multiplied by {gain:g}", where="--gain", remedy="give a number such as 1")
     refuse_directory(output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
@@ -91,6 +92,8 @@ def control(
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
+    if drawn:
+        valve_test(plant)  # and so is one whose valves cannot be tested
     log = read_log(motion, mapping=map_file)
     if misread := misread_error(model, log):
         raise misread

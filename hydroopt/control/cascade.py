@@ -11,7 +11,7 @@ import numpy as np
 from hydroopt.control.axes import Axes
 from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled_plant import Point, Reading
+from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.kernels.one_sample import OneSample
@@ -142,4 +142,7 @@ class Cascade:
         return LinearSystem(
             np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
             np.vstack([to_integral, rest @ to_feedback]),
-            by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, self.period)
+            by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, self.period,
+            (*(f"{name}.integral" for name in self.axes.names),
+             *(f"{each.actuator.name}.filtered" for each in self.axes.plant.actuators)),
+            readings(self.axes.plant), self.axes.plant.inputs)

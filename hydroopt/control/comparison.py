@@ -12,18 +12,20 @@ import numpy as np
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate, tip
-from hydroopt.control.diagnostics import control_diagnostics
+from hydroopt.control.diagnostics import control_diagnostics, margin_diagnostics
 from hydroopt.control.draws import Draw, spread
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import Margin, margins
+from hydroopt.control.loops import Loops
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
-from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Bode, Outcome
+from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Demands
 from hydroopt.control.sampled_plant import Linear, Point
 from hydroopt.control.setting import Setting
 from hydroopt.control.tuning import tuned
+from hydroopt.control.valve_sensitivity import LostMargin, lost_margins
 from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
@@ -89,11 +91,26 @@ class Comparison(Answer):
         """How it was computed."""
         return METHOD
 
+    @property
+    def kinds_of_loops(self) -> list[Outcome]:
+        """One outcome for each kind of loops: those of the cascade are the same whatever it is fed forward."""
+        cascade = self.feedforward or self.outcomes[0]
+        return [outcome for outcome in self.outcomes if outcome is cascade or not outcome.in_cascade]
+
+    @cached_property
+    def lost_margins(self) -> tuple[LostMargin, ...]:
+        """What each uncertain number of valves and oil takes from the best controller's margins, where these are least,
+        as far as the controller knows the machine."""
+        setting, best = self.setting, self.winner
+        at = next(each for each in self.points if each.name == best.loops.point)
+        return lost_margins(setting.plant, at, best.loops, self.psi_of(best.variant), setting.theta)
+
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Small margins, ended runs and saturated valves."""
+        """Small margins, little damping, ended runs and saturated valves."""
         stopped = (Diagnostic(Kind.BEST_RUN_STOPPED, (self.winner.name,)),) if self.winner.run.stopped else ()
-        return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward))
+        return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward),
+                *margin_diagnostics(self.winner, self.lost_margins))
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -160,6 +177,7 @@ class Comparison(Answer):
         return {**self.options, "origin": self.source, "rate": self.setting.rate,
                 "truth_text": self.setting.true.text, "winner": self.winner.name,
                 "candidates": [self._candidate(each) for each in self.outcomes],
+                "lost_margins": [each._asdict() for each in self.lost_margins],
                 "draws": [{key: number(value) for key, value in each._asdict().items()} for each in self.draws]}
 
     def _candidate(self, outcome: Outcome) -> dict[str, Any]:
@@ -171,7 +189,7 @@ class Comparison(Answer):
                 "lowest_supply": float(np.min(run.p_supply)), "energy": run.energy,
                 "loops": [{"actuator": each.actuator.name} | {
                     f"least_{key}_margin": outcome.worst(each.actuator.name, key).as_dict()
-                    for key in ("gain", "phase")} for each in self.setting.plant.actuators]}
+                    for key in ("gain", "phase", "disk", "damping")} for each in self.setting.plant.actuators]}
 
     def _joints(self, outcome: Outcome) -> list[dict[str, Any]]:
         """Error of every joint; of a passive one, which no actuator moves, how far it swings from where it should."""
@@ -291,29 +309,31 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     on_motion, in_workspace = setting.points(true, setting.true.psi, setting.true_theta)
     true_plants = setting.plants(true, [*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
-    analysed: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
+    analysed: dict[type, tuple[tuple[Margin, ...], Loops]] = {}  # all cascades have the same loops
     for k, (name, kind, variant, controller) in enumerate(candidates):
         at = told(1 + k, name)
         at(name)
         if type(controller) not in analysed:
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
-        found, bode = analysed[type(controller)]
+        found, loops = analysed[type(controller)]
         refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}])
         run = simulate(demands, controller, true, setting.true.psi, setting.true_theta, seed=setting.seed,
                        bias=setting.bias, progress=at)
         reference = path.q[:len(run.t)]
         tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
-        outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, bode))
+        outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, loops))
     return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
 
 
 def _margins(plants: Sequence[LinearSystem], points: Sequence[Point], controller: Linear,
-             demands: Demands) -> tuple[tuple[Margin, ...], Bode]:
-    names = [each.actuator.name for each in demands.plant.actuators]
+             demands: Demands) -> tuple[tuple[Margin, ...], Loops]:
+    machine, names = demands.plant.machine, [each.actuator.name for each in demands.plant.actuators]
+    joints = tuple(machine.joints.index(joint) for joint in demands.plant.drivers)
     found: list[Margin] = []
-    curves = []
+    analysed = []
     for plant, point in zip(plants, points, strict=True):
-        here, omega, L = margins(plant, controller.linear(point), names, point.name)
+        feedback = controller.linear(point)
+        here, omega, L = margins(plant, feedback, names, point.name)
         found += here
-        curves.append((min(m.distance for m in here), Bode(point.name, omega, L)))
-    return tuple(found), min(curves, key=lambda curve: curve[0])[1]
+        analysed.append((min(m.distance for m in here), Loops(point.name, omega, L, plant, feedback, joints)))
+    return tuple(found), min(analysed, key=lambda one: one[0])[1]

@@ -1,4 +1,5 @@
-"""Diagnostics of a comparison of controllers: small margins, runs that ended early, saturated valves."""
+"""Diagnostics of a comparison of controllers: small margins, little damping, runs that ended early, saturated valves.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +9,18 @@ import numpy as np
 
 from hydroopt.control.outcome import FEEDFORWARD, Outcome
 from hydroopt.control.setting import Setting
+from hydroopt.control.valve_sensitivity import LostMargin
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
-SMALL_DB, SMALL_DEG = 6.0, 45.0
-"""Gain and phase margins below which a loop is reported."""
+SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 45.0, 0.5
+"""Gain, phase and disk margins below which a loop is reported; within a disk margin of 0.5 the gain may change by a
+factor of 1.67, or the phase by 28 degrees, or both at once by less."""
+LITTLE_DAMPING = 0.02
+"""Damping ratio below which an oscillation of a closed loop is reported."""
+SIGMAS = 2.0
+"""Standard deviations of valves and oil within which margins should last."""
 SATURATED = 0.01
 """Part of the time for which a valve may be fully open."""
 
@@ -26,20 +33,37 @@ def control_diagnostics(setting: Setting, outcomes: Sequence[Outcome],
             *_runs(setting, outcomes))
 
 
+def margin_diagnostics(best: Outcome, lost: Sequence[LostMargin]) -> Iterator[Diagnostic]:
+    """Oscillations of the best controller's loops that hardly decay, and margins that uncertain valves may take."""
+    least = min(best.margins, key=lambda margin: margin.damping)
+    if 0 <= least.damping < LITTLE_DAMPING:
+        yield Diagnostic(Kind.LITTLE_DAMPING, (best.name,), {
+            "damping": least.damping, "hertz": least.damping_at / (2 * np.pi), "point": least.point,
+            "undisturbed": least.undisturbed})
+    for loop in dict.fromkeys(each.loop for each in lost):
+        own = [each for each in lost if each.loop == loop]
+        low = own[0].disk - SIGMAS * float(np.linalg.norm([each.lost for each in own]))
+        if low < SMALL_DISK <= own[0].disk:
+            yield Diagnostic(Kind.MARGINS_BY_VALVES, (best.name,), {
+                "loop": loop, "disk": own[0].disk, "low": max(low, 0.0), "point": best.loops.point,
+                "parameter": max(own, key=lambda each: each.lost).parameter})
+
+
 def _margins(setting: Setting, outcomes: Sequence[Outcome], feedforward: Outcome | None) -> Iterator[Diagnostic]:
     for outcome in outcomes:
         for each in setting.plant.actuators:
-            gain, phase = (outcome.worst(each.actuator.name, key) for key in ("gain", "phase"))
+            gain, phase, disk = (outcome.worst(each.actuator.name, key) for key in ("gain", "phase", "disk"))
             if outcome.kind == FEEDFORWARD and outcome is not feedforward:
                 continue  # all feedforwards have the same loops
             if unstable := next((m for m in (gain, phase) if m.damping < 0), None):
                 yield Diagnostic(Kind.UNSTABLE_ELSEWHERE, (outcome.name,), {"point": unstable.point})
                 break
             decibels, degrees = 20 * np.log10(gain.gain), np.degrees(phase.phase)
-            if decibels < SMALL_DB or degrees < SMALL_DEG:
+            if decibels < SMALL_DB or degrees < SMALL_DEG or disk.disk < SMALL_DISK:
                 yield Diagnostic(Kind.SMALL_MARGINS, (outcome.name,), {
                     "loop": each.actuator.name, "gain_db": float(decibels), "gain_point": gain.point,
-                    "phase_deg": float(degrees), "phase_point": phase.point})
+                    "phase_deg": float(degrees), "phase_point": phase.point,
+                    "disk": disk.disk, "disk_point": disk.point})
 
 
 def _runs(setting: Setting, outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:

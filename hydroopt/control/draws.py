@@ -51,12 +51,11 @@ def draws(setting: Setting, count: int, *, progress: Progress = silent) -> tuple
         SolverError: a plant could not be integrated.
     """
     plant, found = setting.plant, []
-    test = valve_test(plant)
     for k in range(count):
         progress(f"machine {k + 1} of {count}", k / count)
         seed = (setting.seed or 0) + k
         psi, theta = random_truth(plant.model, seed), random_numbers(plant, seed)
-        log = driven_test(test, psi, theta, rate=setting.rate, seed=seed)
+        log = driven_test(valve_test(plant), psi, theta, rate=setting.rate, seed=seed)
         bodies = identify(identification_problem(plant.model, [log]), intervals=False)
         problem = hydraulic_problem(plant.machine, [log])
         valves = problem.whole(identify_hydraulics(problem).adjustment.theta)

@@ -1,16 +1,21 @@
-"""Linear systems as matrices with names, their frequency responses, and the closed loop of two of them."""
+"""Linear systems as matrices with names, their responses, poles and zeros, and the closed loop of two of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.linalg import schur
+from scipy.linalg import eigvals, schur
 
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from hydroopt.control.python_control import control
+
+
+INFINITE = 1e8
+"""Size from which on a zero counts as one at infinity."""
 
 
 class LinearSystem(NamedTuple):
@@ -44,6 +49,27 @@ class LinearSystem(NamedTuple):
             X[i] = (B[i] + np.tensordot(T[i, i + 1:], X[i + 1:], 1)) / (z - T[i, i])[:, None]
         return np.asarray(np.moveaxis(np.tensordot(C, X, 1), 0, 1) + self.D)
 
+    def steps(self, count: int) -> Array:
+        """Outputs (count, p, m) of a system in discrete time, sample by sample, after a unit step of each input."""
+        X, found = np.zeros_like(self.B), np.empty((count, *self.D.shape))
+        for k in range(count):
+            found[k] = self.C @ X + self.D
+            X = self.A @ X + self.B
+        return found
+
+    @property
+    def poles(self) -> Array:
+        """Eigenvalues (n,) of A."""
+        return np.asarray(np.linalg.eigvals(self.A))
+
+    @property
+    def zeros(self) -> Array:
+        """Transmission zeros of a system with as many inputs as outputs: where its Rosenbrock matrix is singular."""
+        n, m = self.B.shape
+        found = eigvals(np.block([[self.A, self.B], [self.C, self.D]]),
+                        np.block([[np.eye(n), np.zeros((n, m))], [np.zeros((m, n + m))]]))
+        return np.asarray(found[np.isfinite(found) & (np.abs(found) < INFINITE)])
+
     def python_control(self, name: str | None = None) -> control.StateSpace:
         """The same as python-control knows it; dots in names become underscores, as it demands.
 
@@ -62,8 +88,20 @@ def signal(name: str) -> str:
     return name.replace(".", "_")
 
 
-def poles(plant: LinearSystem, feedback: LinearSystem) -> Array:
-    """Poles of a plant without direct feedthrough whose inputs are the outputs of a feedback of its outputs."""
+def closed_loop(plant: LinearSystem, feedback: LinearSystem, places: Sequence[int] = (),
+                names: Sequence[str] = ()) -> LinearSystem:
+    """From references of some of the plant's outputs to these outputs.
+
+    Args:
+        plant: without direct feedthrough; its inputs are the outputs of the feedback.
+        feedback: of all outputs of the plant, less their references.
+        places: of the outputs that have references.
+        names: of these outputs; the references are called the same with ``_reference`` behind.
+    """
+    E = np.eye(len(plant.C))[:, list(places)]
     A = np.block([[plant.A + plant.B @ feedback.D @ plant.C, plant.B @ feedback.C],
                   [feedback.B @ plant.C, feedback.A]])
-    return np.asarray(np.linalg.eigvals(A))
+    B = -np.vstack([plant.B @ feedback.D @ E, feedback.B @ E])
+    C = np.hstack([E.T @ plant.C, np.zeros((len(places), len(feedback.A)))])
+    return LinearSystem(A, B, C, np.zeros((len(places),) * 2), plant.period, (*plant.states, *feedback.states),
+                        tuple(f"{name}_reference" for name in names), tuple(names))

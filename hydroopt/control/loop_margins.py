@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
-from hydroopt.control.linear_system import LinearSystem, poles
+from hydroopt.control.linear_system import LinearSystem, closed_loop
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -16,6 +16,8 @@ FREQUENCIES = 400
 """Number of frequencies at which loops are analysed, up to half the sampling rate."""
 SLOWEST = 2e-4
 """The lowest of these frequencies, as a part of the sampling rate."""
+STANDING = 1e-4
+"""Distance from 1 within which a pole is that of a position, which stands still where nothing moves it."""
 
 
 class Margin(NamedTuple):
@@ -30,6 +32,8 @@ class Margin(NamedTuple):
         phase_at: its frequency [rad/s], where the gain crosses one.
         distance: smallest distance of the Nyquist curve from −1.
         damping: smallest damping ratio of the closed loop's poles; negative where it is unstable.
+        damping_at: frequency of that pole [rad/s].
+        undisturbed: smallest damping ratio of the plant's own poles, without any feedback.
         disk: disk margin α (Seiler, Packard and Gahinet 2020, balanced): gain may change by any factor between
             (2 − α)/(2 + α) and its inverse, and the phase at the same time within the same disk.
     """
@@ -42,6 +46,8 @@ class Margin(NamedTuple):
     phase_at: float
     distance: float
     damping: float
+    damping_at: float
+    undisturbed: float
     disk: float
 
     def as_dict(self) -> dict[str, str | float | None]:
@@ -50,7 +56,8 @@ class Margin(NamedTuple):
                 "gain_crossing_hz": number(self.gain_at / (2 * np.pi)),
                 "phase_margin_deg": number(np.degrees(self.phase)),
                 "phase_crossing_hz": number(self.phase_at / (2 * np.pi)), "sensitivity": number(1 / self.distance),
-                "damping": self.damping, "disk_margin": number(self.disk)}
+                "damping": self.damping, "damping_hz": number(self.damping_at / (2 * np.pi)),
+                "damping_without_feedback": self.undisturbed, "disk_margin": number(self.disk)}
 
 
 def frequencies(period: float) -> Array:
@@ -82,8 +89,7 @@ def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
     """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from."""
     omega = frequencies(plant.period)
     L = responses(plant, feedback, omega)
-    roots = np.log(poles(plant, feedback).astype(complex) + 1e-300)
-    damping = float(np.min(-roots.real / np.maximum(np.abs(roots), 1e-12)))
+    damping = (*_least_damping(closed_loop(plant, feedback)), _least_damping(plant, STANDING)[0])
     # cubic splines over the logarithm of the frequency
     curves = CubicSpline(np.log(omega), np.stack([
         L.real, L.imag, np.log(np.maximum(np.abs(L), 1e-300)), np.abs(1 + L)]), axis=-1)
@@ -93,7 +99,20 @@ def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
                     float(nearest[i]), damping, float(disk[i])) for i, name in enumerate(names)], omega, L
 
 
-def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: float, disk: float) -> Margin:
+def _least_damping(system: LinearSystem, standing: float = 0.0) -> tuple[float, float]:
+    """Least damping ratio of the poles of a sampled system, and the frequency [rad/s] of that pole; poles within
+    `standing` of 1 do not count."""
+    poles = system.poles.astype(complex)
+    roots = np.log(poles[np.abs(poles - 1) >= standing] + 1e-300)
+    if not len(roots):
+        return 1.0, 0.0
+    size = np.maximum(np.abs(roots), 1e-12)
+    least = int(np.argmin(-roots.real / size))
+    return float(-roots.real[least] / size[least]), float(size[least] / system.period)
+
+
+def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: tuple[float, float, float],
+            disk: float) -> Margin:
     """The margins of a loop L(jω) by curves of its real and imaginary parts, log |L| and |1 + L|, the least of which at
     the frequencies themselves is `nearest`."""
     real, imaginary, size, distance = curves
@@ -101,14 +120,14 @@ def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damp
     at_180 = at_180[real(at_180) < 0]
     gains = -1 / real(at_180)
     # for an unstable loop the factor that would stabilise it
-    own = (gains > 1) == (damping >= 0)
+    own = (gains > 1) == (damping[0] >= 0)
     gain, gain_at = _nearest(gains[own], at_180[own], np.abs(np.log(gains[own])))
     at_one = size.roots(extrapolate=False)
     phases = np.abs(np.angle(-real(at_one) - 1j * imaginary(at_one)))
     phase, phase_at = _nearest(phases, at_one, phases)
     turning = distance.derivative().roots(extrapolate=False)
     least = float(np.min(distance(turning), initial=nearest))
-    return Margin(where, name, gain, gain_at, phase, phase_at, least, damping, disk)
+    return Margin(where, name, gain, gain_at, phase, phase_at, least, *damping, disk)
 
 
 def _nearest(margin: Array, at: Array, measure: Array) -> tuple[float, float]:

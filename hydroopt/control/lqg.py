@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, solve_discrete_are
 from hydroopt.control.axes import Axes
 from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled_plant import Point, Reading
+from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine import Machine
@@ -53,10 +53,11 @@ class Matrices(NamedTuple):
 
 
 class Design(NamedTuple):
-    """Matrices for deviations from an operating point."""
+    """Matrices for deviations from an operating point, and the names of the states that the filter estimates."""
 
     point: Point
     matrices: Matrices
+    states: tuple[str, ...]
 
 
 class Schedule:
@@ -111,18 +112,20 @@ def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, 
     weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
                          np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
     K = regulator(both, driven, weights.T @ weights)
-    # the errors of the demanded forces drift; readings show them, commands do not answer to them
-    a = B.shape[1]
-    A, C = block_diag(A, np.eye(a)), np.hstack([C, np.vstack([np.zeros((n, a)), np.eye(a), np.zeros((1, a))])])
+    # the errors of the demanded forces drift; readings show them, commands do not answer to them; of a force that is
+    # not measured there is none, since nothing would show it
+    a, shown = B.shape[1], np.isfinite(noise[n:-1]).astype(float)
+    A, C = block_diag(A, np.diag(shown)), np.hstack([C, np.vstack([np.zeros((n, a)), np.eye(a), np.zeros((1, a))])])
     B, K = np.vstack([B, np.zeros((a, a))]), np.hstack([K[:, :size], np.zeros((a, a)), K[:, size:]])
-    drift = FORCE_DRIFT * PRESSURE * np.array([each.areas[0] for each in valves.plant.actuators])
+    drift = shown * FORCE_DRIFT * PRESSURE * np.array([each.areas[0] for each in valves.plant.actuators])
     disturbed = np.hstack([B * np.abs(point.speed), np.diag([*np.full(size, PROCESS_NOISE), *drift])])
     # outputs are scaled by the standard deviations of their noise; what is not measured is left out
     measured = np.isfinite(noise)
     L = np.zeros((size + a, len(noise)))
     scaled = C[measured] / noise[measured, None]
     L[:, measured] = regulator(A.T, scaled.T, disturbed @ disturbed.T).T / noise[measured]
-    return Design(point, Matrices(A, B, C, K, L))
+    errors = (f"{each.actuator.name}.force_error" for each in valves.plant.actuators)
+    return Design(point, Matrices(A, B, C, K, L), tuple(f"{name}_estimated" for name in (*plant.states, *errors)))
 
 
 def regulator(A: Array, B: Array, Q: Array) -> Array:
@@ -166,7 +169,7 @@ class Lqg:
         self.valves, self.demand, self.schedule, self.period = valves, demand, Schedule(designs), period
         self.axes = Axes(valves.plant)
         self._position = self.axes.positions(demand.q, demand.length)
-        self._size = len(designs[0].matrices.A)
+        self._size, self._states = len(designs[0].matrices.A), designs[0].states
         self.reset()
 
     def reset(self) -> None:
@@ -181,8 +184,8 @@ class Lqg:
         speed = -feedback[:, :size] @ self._state - feedback[:, size:] @ self._integral
         command, opening = self.valves.command(preview.speed[k] + speed, preview.force_rate[k], preview.length[k],
                                                preview.pressure[k], reading.supply)
-        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]), 0.0])
-        self._state = A @ self._state + B @ speed + gain @ (readings - C @ self._state)
+        deviations = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]), 0.0])
+        self._state = A @ self._state + B @ speed + gain @ (deviations - C @ self._state)
         error = self.axes.positions(reading.q, reading.length) - self._position[k]
         self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
         return command
@@ -200,4 +203,6 @@ class Lqg:
         along = self.period * self.axes.slopes(point.lever_arm)
         B = np.vstack([matrices.filter, np.hstack([along, np.zeros((m, a + 1))])])
         D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return LinearSystem(A, B, -by_speed @ feedback, D, self.period)
+        return LinearSystem(A, B, -by_speed @ feedback, D, self.period,
+                            (*self._states, *(f"{name}.integral" for name in self.axes.names)),
+                            readings(self.axes.plant), self.axes.plant.inputs)

@@ -4,24 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt.control.closed_loop import Run
 from hydroopt.control.loop_margins import Margin
+from hydroopt.control.loops import Loops
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.spatial.inertia import Array
 
 PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
-
-
-class Bode(NamedTuple):
-    """L(jω) (n, ω) of all loops at a point, with its name and frequencies [rad/s]."""
-
-    point: str
-    omega: Array
-    loops: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +28,7 @@ class Outcome:
         error: of the joints (N, n) [rad or m].
         tip: distance (N,) [m] of the last link's far end from where it should be.
         margins: of all loops at all points.
-        bode: of its loops at the point with the smallest Nyquist distance.
+        loops: at the point with the smallest Nyquist distance.
     """
 
     name: str
@@ -46,7 +38,7 @@ class Outcome:
     error: Array
     tip: Array
     margins: tuple[Margin, ...]
-    bode: Bode
+    loops: Loops
 
     @property
     def in_cascade(self) -> bool:
@@ -64,7 +56,7 @@ class Outcome:
         return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf
 
     def worst(self, loop: str, key: str, points: Sequence[str] = ()) -> Margin:
-        """The smallest margin of a loop by `key`, ``gain`` or ``phase``, over some points or all."""
+        """The smallest margin of a loop by `key`, such as ``gain``, ``disk`` or ``damping``, at some points or all."""
         candidates = [margin for margin in self.margins
                       if margin.loop == loop and (not points or margin.point in points)]
         return min(candidates, key=lambda margin: float(getattr(margin, key)))

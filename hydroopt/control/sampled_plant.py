@@ -89,12 +89,19 @@ def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -
     for k, each in enumerate(plant.actuators):
         C[n + k, [names.index(name) for name in each.chambers]] = each.areas[0], -each.areas[1]
     C[-1] = [name == "pump.p_supply" for name in names]
-    outputs = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
     base = {f"{joint}.{kind}" for joint in plant.machine.base_joints for kind in ("q", "qd")}
     kept = [k for k, name in enumerate(names) if name not in base]
     A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
     return LinearSystem(A[np.ix_(kept, kept)], B[kept], C[:, kept], np.zeros((len(C), B.shape[1])), 0.0,
-                        tuple(names[k] for k in kept), plant.inputs, tuple(f"{name}_measured" for name in outputs))
+                        tuple(names[k] for k in kept), plant.inputs, readings(plant))
+
+
+def readings(plant: Plant) -> tuple[str, ...]:
+    """Names of what linear controllers read: positions of the joints, forces of the actuators, the supply's pressure.
+    """
+    names = (*(f"{joint}.q" for joint in plant.machine.joints),
+             *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply")
+    return tuple(f"{name}_measured" for name in names)
 
 
 def sampled(system: LinearSystem, delays: Array, period: float) -> LinearSystem:

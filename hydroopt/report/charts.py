@@ -129,7 +129,32 @@ class Curves:
     kind: ClassVar[str] = "curves"
 
 
-Chart = TimeChart | Cloud | HeatMap | Field | Curves
+@dataclass(frozen=True)
+class Plane:
+    """Lines and dots in a plane whose axes have about the same scale, such as the complex one.
+
+    Attributes:
+        title: what is shown.
+        across, up: what the axes are.
+        span: left, right, lower and upper end.
+        lines: label, look, x and y (N,) of each.
+        dots: label, look, x and y (N,) of each; those whose label ends in ``poles`` are crosses.
+        circles: centre x, y and radius of broken circles.
+        alt: what the figure shows, with its numbers.
+    """
+
+    title: str
+    across: str
+    up: str
+    span: tuple[float, float, float, float]
+    lines: tuple[tuple[str, str, Array, Array], ...] = ()
+    dots: tuple[tuple[str, str, Array, Array], ...] = ()
+    circles: tuple[tuple[float, float, float], ...] = ()
+    alt: str = ""
+    kind: ClassVar[str] = "plane"
+
+
+Chart = TimeChart | Cloud | HeatMap | Field | Curves | Plane
 
 
 def described(chart: TimeChart | Curves, samples: Samples) -> str:
@@ -208,6 +233,9 @@ def payload(chart: Chart) -> dict[str, Any]:
         found["lines"] = [vars(line) for line in chart.lines]
     if isinstance(chart, Field):
         found |= {key: packed(getattr(chart, key)) for key in ("x", "y", "value")}
+    if isinstance(chart, Plane):
+        found |= {key: [{"label": label, "look": look, "x": packed(x), "y": packed(y)} for label, look, x, y in some]
+                  for key, some in (("lines", chart.lines), ("dots", chart.dots))}
     if isinstance(chart, Curves):
         found["x"] = packed(chart.x)
         found["lines"] = [{"label": label, "look": look, "values": packed(values)}

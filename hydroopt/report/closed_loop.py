@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.report import hydraulics
-from hydroopt.report.charts import LOOKS, Chart, Curves
-from hydroopt.report.numbers import NONE, plain
+from hydroopt.report.charts import LOOKS, Chart, Curves, Plane
+from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.panels import SMALL, Panel, Trace, charts_of, columns_of, positions
 from hydroopt.report.samples import Recording, joined
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from hydroopt.control.outcome import Outcome
     from hydroopt.spatial.inertia import Array
 
+NEAR, ABOUT_CIRCLE = (-2.0, 1.0, -1.5, 1.5), (-1.2, 1.2, -1.2, 1.2)
+"""Left, right, lower and upper end of Nyquist curves, and of poles and zeros."""
+STEP = 5.0
+"""Length of a step response [s]."""
+MOST, LEAST = 3, 0.005
+"""Numbers of valves and oil that are named of each loop, and the least disk margin that one of them takes."""
 
 
 def render(comparison: Comparison) -> str:
@@ -33,7 +39,8 @@ def render(comparison: Comparison) -> str:
         **positions(machine.joints, np.column_stack([_full(comparison, column) for column in run.q.T])),
         **columns_of(errors, SMALL), **columns_of(drives)})])
     shown: dict[str, list[Chart]] = {"errors": [*charts_of(errors, SMALL)], "drives": [*charts_of(drives)],
-                                     "bode": [*_bode(comparison)]}
+                                     "bode": [*_bode(comparison)], "nyquist": [*_nyquist(comparison)],
+                                     "poles": [*_poles(comparison)], "steps": [*_steps(comparison)]}
     if comparison.sweeps:
         shown["hydraulics"] = [*hydraulics.charts(setting.plant, comparison.sweeps)]
     return document(
@@ -49,8 +56,9 @@ def render(comparison: Comparison) -> str:
         draws=[(each.seed, *(plain(1e3 * value, 3) for value in each[1:])) for each in comparison.draws],
         gains=[(name, *(plain(value, 3) for value in values))
                for name, values in comparison.gains_of_actuators.items()],
+        lost=_lost(comparison),
         passive=[joint for joint in machine.joints if machine.link(joint).joint.passive],
-        loops=[row for outcome in _cut(comparison) for row in _loops(comparison, outcome)],
+        loops=[row for outcome in comparison.kinds_of_loops for row in _loops(comparison, outcome)],
         hydraulics=hydraulics.rows(setting.plant, comparison.sweeps) if comparison.sweeps else None)
 
 
@@ -65,12 +73,6 @@ def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
             "pressure": plain(float(np.max(run.pressure)) / 1e5, 3),
             "supply": plain(float(np.min(run.p_supply)) / 1e5, 3),
             "energy": plain(run.energy / 1e3, 4)}
-
-
-def _cut(comparison: Comparison) -> list[Outcome]:
-    """One outcome for each kind of loops: those of the cascade are the same whatever it is fed forward."""
-    cascade = comparison.feedforward or comparison.outcomes[0]
-    return [outcome for outcome in comparison.outcomes if outcome is cascade or not outcome.in_cascade]
 
 
 def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
@@ -130,20 +132,80 @@ def _drives(comparison: Comparison) -> list[Panel]:
     return panels
 
 
+def _lost(comparison: Comparison) -> list[tuple[str, ...]]:
+    """Loop, number, its standard deviation, disk margin, and what the number may take from it: the most of each loop.
+    """
+    rows: list[tuple[str, ...]] = []
+    for loop in dict.fromkeys(each.loop for each in comparison.lost_margins):
+        own = sorted((each for each in comparison.lost_margins if each.loop == loop), key=lambda each: -each.lost)
+        rows += [(loop, each.parameter, _with_unit(each.std, each.unit), plain(each.disk, 2), plain(each.lost, 2))
+                 for each in own[:MOST] if each.lost > LEAST]
+    return rows
+
+
 def _bode(comparison: Comparison) -> list[Curves]:
     """Every loop of the cascade, which all with it share, and of LQG where its Nyquist curve comes nearest to −1."""
-    made, shown = [], list(zip(_cut(comparison), LOOKS, strict=False))
+    made, shown = [], _shown(comparison)
     for k, each in enumerate(comparison.setting.plant.actuators):
-        hertz = shown[0][0].bode[1] / (2 * np.pi)
+        hertz = shown[0][0].loops.omega / (2 * np.pi)
         gains, phases = [], []
         for outcome, look in shown:
-            where, omega, L = outcome.bode
-            label = f"{outcome.name}, {where}"
-            gains.append((label, look, np.interp(hertz, omega / (2 * np.pi), np.abs(L[k]))))
-            phases.append((label, look, np.interp(hertz, omega / (2 * np.pi),
-                                                  np.degrees(np.unwrap(np.angle(L[k]))))))
+            L = outcome.loops.cut[k]
+            gains.append((_label(outcome), look, np.abs(L)))
+            phases.append((_label(outcome), look, np.degrees(np.unwrap(np.angle(L)))))
         made += [Curves(f"{each.actuator.name}: gain of the loop", "frequency [Hz]", hertz, tuple(gains),
                         limits=(1.0,), logarithmic=(True, True)),
                  Curves(f"{each.actuator.name}: phase [deg]", "frequency [Hz]", hertz, tuple(phases),
                         limits=(-180.0,), logarithmic=(True, False))]
     return made
+
+
+def _nyquist(comparison: Comparison) -> list[Plane]:
+    """Nyquist curves of the same loops, with the circle that the sensitivity keeps them out of."""
+    made, radius = [], 1 / comparison.setting.sensitivity
+    for k, each in enumerate(comparison.setting.plant.actuators):
+        curves = [(outcome, look, outcome.loops.cut[k]) for outcome, look in _shown(comparison)]
+        told = "; ".join(f"{_label(outcome)}: nearest to −1 by {plain(float(np.min(np.abs(1 + L))), 3)}"
+                         for outcome, _, L in curves)
+        title = f"{each.actuator.name}: Nyquist curve"
+        made.append(Plane(title, "real part", "imaginary part", NEAR, tuple(
+            (_label(outcome), look, L.real, L.imag) for outcome, look, L in curves), circles=((-1.0, 0.0, radius),),
+            alt=f"{title}, with a circle of radius {plain(radius, 3)} about −1. {told}."))
+    return made
+
+
+def _poles(comparison: Comparison) -> list[Plane]:
+    """Poles and zeros of the closed loops of every kind of controller, in the z plane."""
+    made = []
+    for outcome in comparison.kinds_of_loops:
+        loops = outcome.loops
+        dots = tuple((label, look, values.real, values.imag) for label, look, values in
+                     (("poles", "predicted", loops.poles), ("zeros", "other", loops.zeros)))
+        title = f"{_label(outcome)}: poles and zeros of the closed loops"
+        alt = (f"{title} in the z plane, with the unit circle: {len(loops.poles)} poles, the largest of size "
+               f"{plain(float(np.max(np.abs(loops.poles))), 4)}, and {len(loops.zeros)} zeros.")
+        made.append(Plane(title, "real part", "imaginary part", ABOUT_CIRCLE, dots=dots, circles=((0.0, 0.0, 1.0),),
+                          alt=alt))
+    return made
+
+
+def _steps(comparison: Comparison) -> Iterator[Curves]:
+    """Position of every joint after a step of its reference."""
+    machine = comparison.setting.plant.machine
+    shown = [(outcome, look, *outcome.loops.steps(STEP)) for outcome, look in _shown(comparison)]
+    for k, place in enumerate(shown[0][0].loops.joints):
+        yield Curves(f"{machine.joints[place]}: position after a step of its reference", "time [s]", shown[0][2], tuple(
+            (_label(outcome), look, y[:, k]) for outcome, look, _, y in shown), limits=(1.0,))
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return plain(value, 2) + ("" if unit == "1" else f" {unit_text(unit)}")
+
+
+def _shown(comparison: Comparison) -> list[tuple[Outcome, str]]:
+    """One outcome for each kind of loops, with the look of its lines."""
+    return list(zip(comparison.kinds_of_loops, LOOKS, strict=False))
+
+
+def _label(outcome: Outcome) -> str:
+    return f"{'cascade' if outcome.in_cascade else outcome.name}, {outcome.loops.point}"

@@ -64,6 +64,8 @@ class Kind(StrEnum):
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
     SMALL_MARGINS = "small margins"
+    LITTLE_DAMPING = "little damping"
+    MARGINS_BY_VALVES = "margins depend on uncertain valves"
     RUN_STOPPED = "run ended early"
     BEST_RUN_STOPPED = "even the best run ended early"
     VALVE_SATURATED = "valve saturated"
@@ -249,8 +251,16 @@ WORDS: dict[Kind, Words] = {
     Kind.UNSTABLE_ELSEWHERE: Words(
         "{subject} is unstable in the posture of {point}, which the motion does not reach."),
     Kind.SMALL_MARGINS: Words(
-        "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}) and {phase_deg:.0f} "
-        "degrees ({phase_point})."),
+        "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}), {phase_deg:.0f} "
+        "degrees ({phase_point}), and a disk margin of {disk:.2f} ({disk_point})."),
+    Kind.LITTLE_DAMPING: Words(
+        "With {subject} an oscillation at {hertz:.1f} Hz is damped by a ratio of only {damping:.3f} ({point}); without "
+        "feedback the least is {undisturbed:.3f}.",
+        "Leaks, friction and measured pressures damp oil: see the table of loops."),
+    Kind.MARGINS_BY_VALVES: Words(
+        "Numbers of valves and oil are so uncertain that the disk margin of {loop} with {subject} may be {low:.2f} "
+        "instead of {disk:.2f} ({point}), most of all by {parameter}.",
+        "Identify them: hydroopt plan-valve-test."),
     Kind.RUN_STOPPED: Words("With {subject} {reason}."),
     Kind.BEST_RUN_STOPPED: Words(
         "Even the best controller, {subject}, ends before the motion does.",

@@ -26,6 +26,8 @@ START = 1.5
 """Time [s] in which a motion comes to its pace."""
 RATE = 50.0
 """Of sensors and controller [Hz]."""
+SENSITIVITY = 1.3
+"""To which gains are tuned."""
 
 
 def run() -> dict:
@@ -56,7 +58,7 @@ def case(plant: Plant, seed: int) -> tuple[Setting, list[ModelVariant]]:
              ModelVariant(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
     theta = plant.parameters.nominal
     return Setting(plant, feasible(model, 12.0, 100 * seed), ModelVariant(TRUE, "drawn", model, truth), theta, theta,
-                   RATE, seed), known
+                   RATE, seed, SENSITIVITY), known
 
 
 def least_margins(plant: Plant, compared: Comparison) -> tuple[float, float]:

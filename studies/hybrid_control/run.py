@@ -37,6 +37,8 @@ from studies import show
 SEEDS = range(10, 15)
 RATE = 50.0
 """Of sensors and controller [Hz]."""
+SENSITIVITY = 1.3
+"""To which gains are tuned."""
 FORCE, STIFFNESS, DAMPING, FRICTION = 8e3, 1e6, 0.5, 0.2
 """Normal force [N] that is demanded; the floor's stiffness [N/m], damping [s/m] and coefficient of friction."""
 SURFACE, GAP = -1.0, 0.04
@@ -166,7 +168,8 @@ def rise(t: Array, span: tuple[float, float]) -> Array:
 def gains_of(plant: Plant, motion: Trajectory) -> Gains:
     """Gains of the position loops, tuned on the nominal machine in free space."""
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
-    setting = Setting(plant, motion, ModelVariant(TRUE, "nominal", plant.model, psi), theta, theta, RATE)
+    setting = Setting(plant, motion, ModelVariant(TRUE, "nominal", plant.model, psi), theta, theta, RATE,
+                      sensitivity=SENSITIVITY)
     on_motion, in_workspace = setting.points(plant, psi, theta)
     points = [*on_motion, *in_workspace]
     return tuned(setting.plants(plant, points, psi, theta), points, setting.demands.valves, setting.sensitivity)

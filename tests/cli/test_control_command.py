@@ -54,6 +54,10 @@ def test_every_candidate_was_tried_and_the_best_is_named(content: dict) -> None:
         for loop in one["loops"]:
             assert loop["least_gain_margin"]["gain_margin_db"] > 6
             assert loop["least_phase_margin"]["phase_margin_deg"] > 45
+            assert loop["least_disk_margin"]["disk_margin"] > 0.5
+            assert loop["least_damping_margin"]["damping"] > 0
+    lost = {one["parameter"]: one for one in content["lost_margins"]}
+    assert 0 < lost["lift_cylinder.rated_flow"]["lost"] < lost["lift_cylinder.rated_flow"]["disk"] < 2
 
 
 def test_tables_say_what_the_runs_show(folder: Path, content: dict) -> None:
@@ -84,11 +88,12 @@ def test_the_report_needs_nothing_else(folder: Path, content: dict) -> None:
     page = (folder / "report.html").read_text("utf-8")
     assert stands_alone(page)
     drawn = data_of(page)
-    assert {chart["kind"] for chart in drawn["charts"]} == {"time", "curves"}
-    assert len(drawn["charts"]) == 2 + 2 + 2 + 3  # errors, pressures and command, loop, hydraulics
+    assert {chart["kind"] for chart in drawn["charts"]} == {"time", "curves", "plane"}
+    # errors, pressures and command, Bode, Nyquist, step, poles of the cascade and of LQG, hydraulics
+    assert len(drawn["charts"]) == 2 + 2 + 2 + 1 + 1 + 2 + 3
     assert drawn["scene"]["replayed"] == ["lift.q"]
-    assert re.findall(r"<h2>(.*?)</h2>", page) == ["Diagnostics", "Tracking", "Loops",
-                                                   "Hydraulics over the workspace", "On the machine"]
+    assert re.findall(r"<h2>(.*?)</h2>", page)[-4:] == ["Tracking", "Loops", "Hydraulics over the workspace",
+                                                        "On the machine"]
     for one in content["candidates"]:
         assert one["name"] in page
 

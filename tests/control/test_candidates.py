@@ -13,11 +13,13 @@ from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
 from hydroopt.control.comparison import Comparison, compare
+from hydroopt.control.diagnostics import margin_diagnostics
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant, reduced, truth
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Reference
 from hydroopt.control.setting import Setting
 from hydroopt.model.plant import Plant
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory, forces
 
 RATE = 100.0
@@ -42,6 +44,14 @@ def exact(setting: Setting) -> Comparison:
     light = np.where([name.endswith((".m", "mc_x", "mc_y", "mc_z")) for name in true.model.parameters.names], 0.5, 1.0)
     return compare(setting, [ModelVariant(NOMINAL, "too light", true.model, light * true.psi),
                              true._replace(name=COMPLETE)])
+
+
+@pytest.fixture(scope="module")
+def exact_feedforward(setting: Setting) -> Comparison:
+    """The feedforward alone, on the first two seconds of the motion."""
+    path = setting.motion
+    short = Trajectory(path.t[:200], path.q[:200], path.qd[:200], path.qdd[:200])
+    return compare(replace(setting, motion=short), [setting.true._replace(name=COMPLETE)], [FEEDFORWARD])
 
 
 def by_name(comparison: Comparison, name: str) -> Outcome:
@@ -173,3 +183,42 @@ def test_a_truth_of_driven_valves_is_that_of_the_plant(setting: Setting, tmp_pat
     found = truth(str(file), plant, seed=0)
     assert_allclose(found.theta, 1.1 * plant.parameters.nominal)
     assert_allclose(found.variant.psi, setting.true.psi)
+
+
+def test_less_damping_and_uncertain_valves_are_told(exact_feedforward: Comparison) -> None:
+    """Loops that just hold pass; the same with half the room for valves, or with a mode that hardly decays, do not."""
+    best = exact_feedforward.winner
+    lost = exact_feedforward.lost_margins
+    assert {each.loop for each in lost} == {"lift_cylinder"}
+    assert not {Kind.LITTLE_DAMPING, Kind.MARGINS_BY_VALVES} & {d.kind for d in margin_diagnostics(best, lost)}
+    uncertain = [each._replace(lost=6 * each.lost) for each in lost]
+    (found,) = margin_diagnostics(best, uncertain)
+    assert (found.kind, found.evidence["parameter"]) == (Kind.MARGINS_BY_VALVES, "lift_cylinder.rated_flow")
+    ringing = replace(best, margins=(*best.margins, best.margins[0]._replace(damping=0.006, damping_at=20.0)))
+    (found,) = margin_diagnostics(ringing, lost)
+    assert found.kind is Kind.LITTLE_DAMPING
+    assert "3.2 Hz" in found.text
+
+
+def test_what_a_valve_takes_from_a_margin_is_what_it_takes_from_the_machine(exact_feedforward: Comparison) -> None:
+    """A rated flow larger by one standard deviation: the margin of a machine that has it, computed anew."""
+    setting, best = exact_feedforward.setting, exact_feedforward.winner
+    plant = setting.plant
+    k = plant.parameters.names.index("lift_cylinder.rated_flow")
+    larger = setting.theta.copy()
+    larger[k] += plant.parameters.scale[k]
+    other = compare(replace(setting, true_theta=larger), [setting.true._replace(name=COMPLETE)], [FEEDFORWARD])
+    at = [m for m in other.outcomes[0].margins if m.point == best.loops.point]
+    (one,) = [each for each in exact_feedforward.lost_margins if each.parameter == "lift_cylinder.rated_flow"]
+    assert one.disk == pytest.approx(best.worst("lift_cylinder", "disk", [best.loops.point]).disk, rel=1e-9)
+    assert one.disk - one.lost == pytest.approx(at[0].disk, rel=0.02)
+    assert one.lost > 0.05
+
+
+def test_loops_are_drawn_in_notebooks(exact_feedforward: Comparison) -> None:
+    figure = exact_feedforward.plot.loops()
+    assert [ax.get_title("left") for ax in figure.axes] == ["gain", "phase [deg]", "Nyquist", "step of the reference",
+                                                      "poles and zeros"]
+    t, y = exact_feedforward.winner.loops.steps(30.0)
+    assert y[-1, 0] == pytest.approx(1.0, abs=0.03)
+    assert t[-1] == pytest.approx(30.0)

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_lyapunov
 
-from hydroopt.control.linear_system import LinearSystem, poles
+from hydroopt.control.linear_system import LinearSystem, closed_loop
 from hydroopt.control.lqg import (
     BANDWIDTH_SHARE,
     FORCE_DRIFT,
@@ -106,7 +106,7 @@ def test_poles_are_those_of_regulator_and_filter(made) -> None:
     apart = np.concatenate([np.linalg.eigvals(A - B @ on_states(one.matrices)), np.linalg.eigvals(filtered)])
     none = np.zeros((1, 1))
     aim = Demand(none, none, none, Preview(none, none, none, none, np.zeros((1, 1, 2))))
-    together = poles(held, Lqg(valves, aim, [one], PERIOD).linear(at))
+    together = closed_loop(held, Lqg(valves, aim, [one], PERIOD).linear(at)).poles
     together, apart = np.sort(np.abs(together)), np.sort(np.abs(apart))
     # zero is a pole of several samples of delay at once, which rounding spreads to its fourth root
     held_back = 2 * sum(name.endswith("samples_ago") for name in held.states)
@@ -137,7 +137,7 @@ def test_gains_pass_from_one_point_to_the_next(made) -> None:
     far = replace(at, q=at.q + 0.5)
     back = replace(at, speed=-at.speed)
     doubled, tripled = (Matrices(*(factor * part for part in one.matrices)) for factor in (2.0, 3.0))
-    schedule = Schedule([one, Design(far, doubled), Design(back, tripled)])
+    schedule = Schedule([one, Design(far, doubled, one.states), Design(back, tripled, one.states)])
 
     def factor(q: np.ndarray, speed: np.ndarray) -> float:
         return float(np.linalg.norm(schedule.at(q, speed).feedback) / np.linalg.norm(one.matrices.feedback))

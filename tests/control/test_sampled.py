@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.linear_system import LinearSystem, poles
+from hydroopt.control.linear_system import LinearSystem, closed_loop
 from hydroopt.control.loop_margins import margins
 from hydroopt.control.sampled_plant import sampled
 
@@ -58,7 +58,7 @@ def test_stability_ends_where_the_characteristic_polynomial_says(gain: float, st
     (found,), _, _ = margins(plant, proportional(gain), ["loop"], "here")
     assert (found.damping > 0) == stable
     roots = np.roots([1, -1, gain * PERIOD])
-    assert_allclose(np.sort_complex(poles(plant, proportional(gain))), np.sort_complex(roots), atol=1e-9)
+    assert_allclose(np.sort_complex(closed_loop(plant, proportional(gain)).poles), np.sort_complex(roots), atol=1e-9)
     # of an unstable loop the factor that would bring it back
     assert found.gain == pytest.approx(50 / gain, rel=1e-2)
 
@@ -108,7 +108,7 @@ def test_margins_and_poles_are_those_of_python_control(loop: tuple[LinearSystem,
     plant, feedback = loop
     found, omega, L = margins(plant, feedback, ["a", "b"], "here")
     closed = control.feedback(plant.python_control(), feedback.python_control(), sign=1).poles()
-    assert_allclose(np.sort_complex(poles(plant, feedback)), np.sort_complex(closed), atol=1e-6)
+    assert_allclose(np.sort_complex(closed_loop(plant, feedback).poles), np.sort_complex(closed), atol=1e-6)
     for margin, curve in zip(found, L, strict=True):
         gains, phases, distances, *_ = control.stability_margins(
             control.FrequencyResponseData(curve, omega, smooth=True), returnall=True)
@@ -126,3 +126,40 @@ def test_disk_margin_is_that_of_python_control(gain: float) -> None:
     (found,), omega, _ = margins(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain), ["a"], "here")
     loop = control.tf([gain * PERIOD], [1, -1, 0], PERIOD)
     assert found.disk == pytest.approx(float(control.disk_margins(loop, omega, skew=0.0)[0]), rel=1e-6)
+
+
+def test_steps_poles_and_zeros_of_closed_loops_are_those_of_python_control(
+        loop: tuple[LinearSystem, LinearSystem]) -> None:
+    """From references of two outputs to these; python-control sees the feedback fed by three readings less both."""
+    plant, feedback = loop
+    closed = closed_loop(plant, feedback, (0, 2), ("a.q", "c.q"))
+    chosen = control.ss([], [], [], np.eye(3)[:, [0, 2]], 0.1)
+    forward = control.series(-1 * chosen, feedback.python_control(), plant.python_control())
+    back = control.feedback(control.ss([], [], [], np.eye(3), 0.1), plant.python_control() * feedback.python_control(),
+                            sign=1)
+    expected = control.ss([], [], [], np.eye(3)[[0, 2]], 0.1) * back * forward
+    t = np.arange(60) * 0.1
+    assert_allclose(closed.steps(60), np.moveaxis(control.step_response(expected, t).outputs, 2, 0), atol=1e-9)
+    own = closed.python_control()
+    assert (own.input_labels, own.output_labels) == (["a_q_reference", "c_q_reference"], ["a_q", "c_q"])
+    assert_allclose(np.sort_complex(closed.poles), np.sort_complex(own.poles()), atol=1e-9)
+    for zero in closed.zeros:
+        pencil = np.block([[closed.A - zero * np.eye(len(closed.A)), closed.B], [closed.C, closed.D]])
+        sizes = np.linalg.svd(pencil, compute_uv=False)
+        assert sizes[-1] < 1e-7 * sizes[0]
+    # at any other place outputs can be had
+    other = np.block([[closed.A - 0.37 * np.eye(len(closed.A)), closed.B], [closed.C, closed.D]])
+    assert np.linalg.svd(other, compute_uv=False)[-1] > 1e-6
+
+
+def test_the_least_damping_is_that_of_an_oscillator() -> None:
+    """A sampled oscillator of 3 rad/s and a ratio of 0.05, without feedback, beside a position that nothing moves."""
+    A = np.array([[0, 1, 0], [-9.0, -0.3, 0], [0, 0, 0]])
+    plant = LinearSystem(A, np.array([[0.0], [1], [1]]), np.array([[1.0, 0, 0]]), np.zeros((1, 1)), 0.0)
+    (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(0.0), ["a"], "here")
+    assert found.undisturbed == pytest.approx(0.05, rel=1e-9)
+    (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(-5.0), ["a"], "here")
+    assert found.damping < 0.05
+    slower = sampled(LinearSystem(A[:2, :2], plant.B[:2], plant.C[:, :2], plant.D, 0.0), np.zeros(1), PERIOD)
+    (found,), _, _ = margins(slower, proportional(0.0), ["a"], "here")
+    assert (found.damping, found.damping_at) == (pytest.approx(0.05, rel=1e-9), pytest.approx(3.0, rel=1e-9))

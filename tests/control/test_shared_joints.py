@@ -12,6 +12,7 @@ from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run, simulate
 from hydroopt.control.comparison import compare
+from hydroopt.control.draws import draws
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG
 from hydroopt.control.reference import Demand
@@ -82,6 +83,13 @@ def test_neither_cylinder_works_against_the_other(asked: Setting, followed: tupl
 
 
 @pytest.mark.slow
+def test_no_draws_need_no_test_of_valves(asked: Setting) -> None:
+    """Two valves of one joint cannot be tested one by one, which only draws need."""
+    assert draws(asked, 0) == ()
+    with pytest.raises(ProblemError, match="both move boom"):
+        draws(asked, 1)
+
+
 def test_controllers_are_tuned_compared_and_reported(asked: Setting) -> None:
     shared = compare(asked, [asked.true._replace(name=COMPLETE)], [FEEDFORWARD, LQG])
     assert list(shared.parameters) == ["boom.position_gain", "boom_left.force_gain", "boom_right.force_gain",

@@ -227,10 +227,44 @@ function curves(figure, chart) {
   }, [Array.from(x), ...lines.map((line) => gaps(line.values)), ...bands.flatMap((band) => [gaps(band.low), gaps(band.high)])]);
 }
 
+function plane(figure, chart) {
+  const lines = chart.lines.map((line) => ({ ...line, x: unpack(line.x), y: unpack(line.y) }));
+  const dots = chart.dots.map((some) => ({ ...some, dots: true, x: unpack(some.x), y: unpack(some.y) }));
+  const [left, right, low, high] = chart.span;
+  keys(figure, [...lines, ...dots]);
+  const circles = chart.circles.map(([x, y, radius]) => Array.from({ length: 91 }, (_, k) =>
+    [x + radius * Math.cos(k * Math.PI / 45), y + radius * Math.sin(k * Math.PI / 45)]));
+  drawn(figure, {
+    series: [{}, { paths: () => null, points: { show: false } }], axes: axes(chart.across, chart.up),
+    scales: { x: { time: false, range: [left, right] }, y: { range: [low, high] } },
+    hooks: { drawClear: [(u) => {
+      const { ctx } = u, place = (x, y) => [u.valToPos(x, "x", true), u.valToPos(y, "y", true)];
+      ctx.save();
+      ctx.beginPath(); ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); ctx.clip();
+      const trace = (points, colour, width, dash) => {
+        ctx.strokeStyle = colour; ctx.lineWidth = width * devicePixelRatio; ctx.setLineDash(dash.map((d) => d * devicePixelRatio));
+        ctx.beginPath(); points.forEach(([x, y], k) => ctx[k ? "lineTo" : "moveTo"](...place(x, y))); ctx.stroke();
+      };
+      for (const circle of circles) trace(circle, look.colour("ink"), 1, [6, 4]);
+      for (const line of lines) trace(Array.from(line.x, (x, k) => [x, line.y[k]]), look.colour(line.look), 1.5, []);
+      for (const some of dots) some.x.forEach((x, k) => {
+        const [a, b] = place(x, some.y[k]), size = 3.5 * devicePixelRatio;
+        ctx.strokeStyle = look.colour(some.look); ctx.lineWidth = 1.5 * devicePixelRatio; ctx.setLineDash([]);
+        ctx.beginPath();
+        if (some.label.endsWith("poles")) for (const side of [1, -1]) { ctx.moveTo(a - size, b - side * size); ctx.lineTo(a + size, b + side * size); }
+        else ctx.arc(a, b, size, 0, 2 * Math.PI);
+        ctx.stroke();
+      });
+      ctx.restore();
+    }] },
+  }, [[left, right], [low, high]], (high - low) / (right - left));
+}
+
 for (const figure of document.querySelectorAll("figure[data-chart]")) {
   const chart = page.charts[+figure.dataset.chart];
   if (chart.kind === "time") timeChart(figure, chart);
   else if (chart.kind === "cloud") cloud(figure, chart);
+  else if (chart.kind === "plane") plane(figure, chart);
   else if (chart.kind === "map" || chart.kind === "field") heatMap(figure, chart, () => machine.tipPlaces());
   else curves(figure, chart);
 }
