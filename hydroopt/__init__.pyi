@@ -5,6 +5,9 @@ from .errors import LogError as LogError
 from .errors import MachineError as MachineError
 from .errors import ProblemError as ProblemError
 from .errors import SolverError as SolverError
+from .estimation.combined.estimate import CombinedEstimate as CombinedEstimate
+from .estimation.combined.problem import CombinedProblem as CombinedProblem
+from .estimation.combined.problem import combined_problem as combined_problem
 from .estimation.dynamic.change import Change as Change
 from .estimation.dynamic.change import detect_change as detect_change
 from .estimation.dynamic.change_history import ChangeHistory as ChangeHistory

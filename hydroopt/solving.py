@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, overload
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
+    from hydroopt.estimation.combined.estimate import CombinedEstimate
+    from hydroopt.estimation.combined.problem import CombinedProblem
     from hydroopt.estimation.dynamic.estimate import Estimate
     from hydroopt.estimation.dynamic.problem import IdentificationProblem
     from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from hydroopt.excitation.poses.problem import PoseProblem
 
 SOLVERS = {
+    ("hydroopt.estimation.combined.problem", "CombinedProblem"): (
+        "hydroopt.estimation.combined.combined", "identify_with_geometry"),
     ("hydroopt.estimation.dynamic.problem", "IdentificationProblem"): (
         "hydroopt.estimation.dynamic.identify", "identify"),
     ("hydroopt.estimation.kinematic.problem", "CalibrationProblem"): (
@@ -42,6 +46,8 @@ SOLVERS = {
 @overload
 def solve(problem: IdentificationProblem, method: str = ..., **options: Any) -> Estimate: ...
 @overload
+def solve(problem: CombinedProblem, method: str = ..., **options: Any) -> CombinedEstimate: ...
+@overload
 def solve(problem: CalibrationProblem, method: str = ..., **options: Any) -> Calibration: ...
 @overload
 def solve(problem: SensorProblem) -> SensorCalibration: ...
@@ -59,11 +65,12 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     """Solve a problem; the problem itself is not changed.
 
     Args:
-        problem: identification, kinematic calibration, sensors, valves and oil, the design of a motion or of poses,
-            or a measure-up.
+        problem: identification, kinematic calibration, both together, sensors, valves and oil, the design of a motion
+            or of poses, or a measure-up.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
             `hydroopt.estimation.kinematic.calibrate.calibrate`,
+            `hydroopt.estimation.combined.combined.identify_with_geometry`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
             `hydroopt.excitation.poses.exchange.fedorov_exchange` or
             `hydroopt.excitation.poses.measure_up.fewest_readings`.

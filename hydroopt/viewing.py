@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hydroopt.results.answer import SavedAnswer
 
 PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
+         "CombinedEstimate": ("hydroopt.report.identification", "render"),
          "Calibration": ("hydroopt.report.calibration", "render"),
          "SensorCalibration": ("hydroopt.report.sensors", "render"),
          "HydraulicEstimate": ("hydroopt.report.valves", "render"),

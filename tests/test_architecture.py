@@ -28,6 +28,7 @@ ROOMS = (
     ("estimation.inference",),
     ("estimation.motion",),
     ("estimation.dynamic", "estimation.kinematic", "estimation.hydraulic"),
+    ("estimation.combined",),
     ("weighing",),
     ("excitation.criteria",),
     ("excitation.motion", "excitation.poses"),

@@ -37,6 +37,7 @@ TAKING: dict[str, Taking] = {
     "commands_for": lambda m, logs: ho.commands_for(m, motion()),
     "drive": lambda m, logs: ho.drive(m, np.arange(5) / 50, np.full((5, 1), 5.7), np.array([0.2])).t,
     "identification_problem": lambda m, logs: str(ho.identification_problem(m, logs[:1])),
+    "combined_problem": lambda m, logs: ho.combined_problem(m, logs[:1]),
     "hydraulic_problem": lambda m, logs: ho.hydraulic_problem(m, ho.drive(NAME, np.arange(60) / 50, 5.7 + np.cos(
         np.arange(60) / 25)[:, None], np.array([0.2]), seed=1)),
     "sensor_problem": lambda m, logs: ho.sensor_problem(m, logs[:1]),

@@ -53,11 +53,11 @@ def shown() -> dict[str, Any]:
             "table": estimate.parameters, "set": model.parameters, "poses": poses, "plant": plant,
             "valves": ho.hydraulic_problem(machine, [driven]), "geometry": ho.KinematicModel(geometry),
             "plan": ho.pose_problem(geometry, 3), "sensors": ho.sensor_problem(machine, [log]),
-            "recording": ho.Recording.of(log)}
+            "recording": ho.Recording.of(log), "combined": ho.combined_problem(machine, log)}
 
 
 NAMES = ("machine", "model", "log", "problem", "estimate", "table", "set", "poses", "plant", "valves", "geometry",
-         "plan", "sensors", "recording")
+         "plan", "sensors", "recording", "combined")
 
 
 @pytest.mark.parametrize("name", NAMES)

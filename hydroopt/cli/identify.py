@@ -58,6 +58,9 @@ def identify(
     fitted_motion: Annotated[bool, typer.Option("--fitted-motion", help=(
         "Fit the motion together with the parameters, from angles and forces, instead of smoothing it beforehand."))
         ] = False,
+    geometry: Annotated[bool, typer.Option("--with-geometry", help=(
+        "Estimate lengths, pins and other numbers of the geometry that state a sigma along with bodies and friction, "
+        "from cylinder lengths, the angles of an attached calibrator or a tracked tip in the same logs."))] = False,
     instruments: Annotated[list[Path] | None, typer.Option(metavar="LOG", help=(
         "Second reading of each log's motion (the reference that was driven, a repetition), or 'lengths' of cylinders: "
         "instrumental variables; repeatable."))] = None,
@@ -93,6 +96,7 @@ def identify(
 
     Example: hydroopt identify cat215b out/run/log.csv --holdout 0.3 -o out/estimate
     """
+    from hydroopt.estimation.combined.problem import CombinedProblem
     from hydroopt.estimation.dynamic.estimate import inputs_of
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.problem import identification_problem
@@ -109,6 +113,9 @@ def identify(
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
     sets = _friction(friction)
+    if geometry and (friction == "auto" or len(sets) > 1):
+        raise ProblemError("geometry cannot be estimated while friction terms are chosen", where="--with-geometry",
+                           remedy="choose them first, and give the chosen set")
     way, read = smoothing_of(smoothing, bandwidth, described), reading(open_log, described, map_file, treat)
     train, held_out = parted(read(logs), read(validate or ()), holdout)
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
@@ -131,7 +138,8 @@ def identify(
             if friction is None or len(sets) == 1:
                 problem = prepared(stated() if friction is None else friction_problem(
                     described, train, held_out, sets[0], actuator_inertia=full, smoothing=way))
-                estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
+                estimate = solve(CombinedProblem(problem, way) if geometry else problem, chosen, tolerance=tolerance,
+                                 ridge=ridge, seed=seed)
             else:
                 estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,

@@ -12,6 +12,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
+from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
@@ -64,16 +65,15 @@ class IdentificationProblem(Shown):
 
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
-        experiments: training data.
-        validation: data for validation only.
-        force_std: (n,) standard deviation of each actuator's force reading; NaN where unknown. It is re-estimated
-            from the residuals when `reweight` is set.
+        experiments, validation: training data, and data for validation only.
+        force_std: (n,) standard deviations of force readings, NaN where unknown; re-estimated from residuals if `reweight`.
         constraints, priors, physics: what was added by name.
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
         loss: of the residuals; the robust ones are solved by iterative reweighting.
         correlated: whether the actuators' residuals in one sample may correlate; their correlation is estimated.
         fitted_motion: whether motion and parameters are fitted together, instead of smoothing the motion beforehand.
+        beside: for each experiment the numbers that are fitted along, see `hydroopt.estimation.combined`.
         instruments: for each experiment another motion at its samples, whose errors are not those of the measured one.
         data_alone: whether statements of the machine file about bodies and bounds are left out.
         distance: of a body from its nominal one: ``gaussian`` takes the file's confidences of its ten numbers, and
@@ -95,6 +95,7 @@ class IdentificationProblem(Shown):
     loss: Loss = "squares"
     correlated: bool = False
     fitted_motion: bool = False
+    beside: tuple[NumbersBeside, ...] = ()
     instruments: tuple[Motion, ...] = ()
     data_alone: bool = False
     distance: Distance = "gaussian"
@@ -359,9 +360,9 @@ class IdentificationProblem(Shown):
             information[body.columns, body.columns] = 0.0
         return prior_squares(information, self.parameters.nominal, (*self.stated_priors, *self.priors))
 
-    def with_experiments(self, experiments: Sequence[AnyExperiment]) -> Self:
-        """With other training data."""
-        return replace(self, experiments=tuple(experiments))
+    def with_experiments(self, experiments: Sequence[AnyExperiment], beside: Sequence[NumbersBeside] = ()) -> Self:
+        """With other training data, and other numbers fitted along, if there are any."""
+        return replace(self, experiments=tuple(experiments), beside=tuple(beside) or self.beside)
 
     def nlp(self, point: Array | None = None) -> NonlinearProgram:
         """The problem as CasADi's nonlinear program; ``solve(problem, "nlp", intervals=False)`` has the same optimum.

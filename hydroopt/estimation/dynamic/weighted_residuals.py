@@ -14,6 +14,7 @@ from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.holds import Holds
+from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.regressor_qr import (
     CompressedRegressor,
     compress,
@@ -80,11 +81,15 @@ class ResidualProblem(InferenceProblem, Protocol):
         """Whether motion and parameters are fitted together."""
 
     @property
+    def beside(self) -> tuple[NumbersBeside, ...]:
+        """Numbers that are fitted along with motion and parameters, for each experiment; none if they are not."""
+
+    @property
     def instruments(self) -> tuple[Motion, ...]:
         """A second motion of each experiment, if any."""
 
-    def with_experiments(self, experiments: Sequence[AnyExperiment]) -> Self:
-        """The same problem with other training data."""
+    def with_experiments(self, experiments: Sequence[AnyExperiment], beside: Sequence[NumbersBeside] = ()) -> Self:
+        """The same problem with other training data, and other numbers fitted along, if there are any."""
 
 
 Problem = TypeVar("Problem", bound=ResidualProblem)
@@ -138,8 +143,13 @@ class WeightedResiduals(Generic[Problem]):
     fit: fitted_motion.FittedMotion | None = None
 
     def problem_at(self, psi: Array) -> Problem:
-        """The problem with the motion that is most probable with parameters ψ (p,), where motion was fitted."""
-        return self.problem.with_experiments(self.fit.experiments(psi)) if self.fit else self.problem
+        """The problem with the motion, and the numbers beside ψ, that are most probable with parameters ψ (p,), where
+        motion was fitted."""
+        if self.fit is None:
+            return self.problem
+        fitted = self.fit.motion(psi)
+        return self.problem.with_experiments([one.experiment for one in fitted],
+                                             [one.beside for one in fitted if one.beside is not None])
 
     @property
     def terms(self) -> tuple[ResidualTerm, ...]:
@@ -222,8 +232,8 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded), _covariance(correlation, sigma),
-                                weights, psi, most_probable, where)
+        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded, problem.beside),
+                                _covariance(correlation, sigma), weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()

@@ -15,7 +15,7 @@ from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.paths import Spline, motion
 from hydroopt.estimation.motion.problem import SensorProblem
 from hydroopt.logs.table import encoded_columns
-from hydroopt.machine.links import Note
+from hydroopt.machine.calibrated_numbers import with_calibrated
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.scene_graph import SceneGraph
@@ -81,18 +81,9 @@ class SensorCalibration(Answer):
     @cached_property
     def machine(self) -> Machine:
         """The machine with the calibrated numbers and their confidences; a vector keeps the largest of its own."""
-        machine, values, notes = self.problem.machine, {}, {}
-        numbers, widest = machine.numbers, dict[str, float]()
-        for each, value, std in zip(self.found.fit.common, self.found.fit.value, self.std, strict=True):
-            if each.name not in numbers:
-                continue
-            path = numbers[each.name].path
-            widest[path] = max(widest.get(path, 0.0), float(std))
-            values[each.name] = float(value)
-            before = machine.notes.get(path, Note())
-            notes[each.name] = before.model_copy(update={
-                "sigma": widest[path], "relative": False, "source": "calibrated by motion and postures at rest"})
-        return machine.with_values(values, notes)
+        found = {each.name: (float(value), float(std)) for each, value, std in zip(
+            self.found.fit.common, self.found.fit.value, self.std, strict=True)}
+        return with_calibrated(self.problem.machine, found, "calibrated by motion and postures at rest")
 
     @cached_property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

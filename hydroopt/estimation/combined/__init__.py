@@ -1,0 +1,1 @@
+"""Geometry, bodies and friction together, from the same recording."""

@@ -1,0 +1,165 @@
+"""The answer of a combined identification: an identification whose parameters have the geometry among them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hydroopt.estimation.combined.problem import CombinedProblem
+from hydroopt.estimation.dynamic.calibrated import calibrated_machine
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.misfit.naming import Misfit
+from hydroopt.estimation.dynamic.numbers_beside import NumbersGiven
+from hydroopt.estimation.dynamic.training_logs import prepared
+from hydroopt.estimation.inference.identifiability import FULL
+from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.machine.calibrated_numbers import with_calibrated
+from hydroopt.machine.joint_limits import within_strokes
+from hydroopt.machine.machine import Machine
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.json_file import MachineId
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import Purpose, Use, determined
+from hydroopt.spatial.inertia import Array
+
+DETERMINED = 0.5
+"""A number counts as identified whose standard deviation is less than this part of that of the machine file."""
+NORMAL = 1.959964
+"""Half of a 95 % interval in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CombinedEstimate(Estimate):
+    """Geometry, bodies and friction from the same logs; `hydroopt.solve` returns it.
+
+    What an `Estimate` has is that of the machine with the calibrated geometry: fit, predictions, base parameters. The
+    uncertainty of the geometry is part of all intervals.
+
+    Attributes:
+        asked: the problem.
+        kinematics: the calibration by the same samples without their forces, from which the search started.
+
+    See `combined_problem`.
+    """
+
+    asked: CombinedProblem = field(kw_only=True)
+    kinematics: Calibration = field(kw_only=True)
+
+    @classmethod
+    def of(cls, estimate: Estimate, asked: CombinedProblem, kinematics: Calibration) -> CombinedEstimate:
+        """From the estimate of bodies and friction with the geometry beside them."""
+        return cls(**{each.name: getattr(estimate, each.name) for each in fields(Estimate)}, asked=asked,
+                   kinematics=kinematics)
+
+    @property
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.asked.identification.model.machine)
+
+    @cached_property
+    def numbers(self) -> NumbersGiven:
+        """Geometry, fixtures and locked joints as functions of the parameters ψ, for any nearby."""
+        fit = self.weighted_residuals.fit
+        assert fit is not None
+        assert fit.numbers is not None
+        return fit.numbers
+
+    @cached_property
+    def geometry(self) -> Array:
+        """(k,) numbers of geometry, fixtures and locked joints [SI], named as `numbers`."""
+        return self.numbers.at(self.psi)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(k+p, k+p) of [geometry, ψ]: all NaN without intervals."""
+        k, p = len(self.numbers.names), len(self.psi)
+        if self.posterior is None:
+            return np.full((k + p, k + p), np.nan)
+        of_psi, slope = np.atleast_2d(np.cov(self.posterior.samples.T)), self.numbers.slope
+        across = slope @ of_psi
+        return np.block([[self.numbers.covariance + across @ slope.T, across], [across.T, of_psi]])
+
+    @cached_property
+    def geometry_std(self) -> Array:
+        """(k,) standard deviations of the geometry; NaN without intervals."""
+        return np.sqrt(np.diag(self.covariance)[: len(self.numbers.names)])
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """The geometry, fixtures and angles of locked joints, then the parameters of bodies and friction."""
+        calibrated = self.kinematics.parameters
+        rows = []
+        for name, value, std in zip(self.numbers.names, self.geometry.tolist(), self.geometry_std.tolist(),
+                                    strict=True):
+            before = calibrated[name]
+            stated = np.nan if before.prior_std is None else before.prior_std
+            known = std < DETERMINED * stated
+            rows.append(row(
+                name, before.kind, before.unit, nominal=before.nominal if before.nominal is not None else np.nan,
+                prior_std=stated, value=value, std=std,
+                ci95=(value - NORMAL * std, value + NORMAL * std),
+                identifiability=FULL if known else before.identifiability))
+        held = [each for name, each in calibrated.items() if name not in self.numbers.names]
+        return ParameterTable([*rows, *held, *super().parameters.rows])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """As of an `Estimate`, and which dimensions are determined."""
+        dimensions = [name for name in self.kinematics.problem.model.parameters.names if name in self.numbers.names]
+        return (*super().uses, *(determined(Purpose.DIMENSIONS, self.parameters[name], condition="95 % intervals",
+                                            unknown="the logs do not determine it") for name in dimensions))
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What contradicts the readings of the geometry, then those of an `Estimate`."""
+        return (*self.kinematics.contradictions, *super().diagnostics)
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """The test of fit with smoothed motion and the calibrated geometry, since a fitted motion explains faults."""
+        problem = self.problem
+        experiments = tuple(prepared(data.log, problem.model, self.asked.smoothing) for data in problem.experiments)
+        own = {each.name: getattr(self, each.name) for each in fields(Estimate)}
+        return Estimate(**own | {"problem": replace(problem, experiments=experiments, fitted_motion=False,
+                                                    beside=())}).misfit
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The calibrated machine: the nominal description with all estimated numbers and their confidences.
+
+        Raises:
+            ProblemError, MachineError: no machine can have these numbers.
+        """
+        logs = ", ".join(data.log.path or data.log.name for data in self.problem.experiments)
+        found = {name: (value, std) for name, value, std in zip(
+            self.numbers.names, self.geometry.tolist(), self.geometry_std.tolist(), strict=True) if np.isfinite(std)}
+        made = with_calibrated(calibrated_machine(self), found, f"calibrated together with bodies from {logs}")
+        return within_strokes(made)[0]
+
+    def details(self) -> Mapping[str, Any]:
+        """As of an `Estimate`, and what joins geometry and bodies."""
+        return {**super().details(), "geometry": {
+            "noise_scale": number(self.kinematics.noise_scale),
+            "correlations": [{"name": name, "other": other, "correlation": number(r)}
+                             for name, (other, r) in self.correlations.items()]}}
+
+    @cached_property
+    def correlations(self) -> dict[str, tuple[str, float]]:
+        """For each number of the geometry the parameter of bodies and friction that it correlates with most."""
+        k, std = len(self.numbers.names), np.sqrt(np.diag(self.covariance))
+        across = self.covariance[:k, k:] / np.outer(std[:k], np.where(std[k:] > 0, std[k:], np.inf))
+        names, best = self.problem.parameters.names, np.argmax(np.abs(np.nan_to_num(across)), axis=1)
+        return {name: (names[j], float(across[i, j])) for i, (name, j) in enumerate(
+            zip(self.numbers.names, best.tolist(), strict=True))}
+
+    def files(self) -> Mapping[str, str]:
+        """As of an `Estimate`, and the covariance of all numbers [SI]."""
+        names = (*self.numbers.names, *self.problem.parameters.names)
+        table = [{"name": name, **dict(zip(names, values, strict=True))}
+                 for name, values in zip(names, self.covariance.tolist(), strict=True)]
+        return {**super().files(), "covariance.csv": csv_text(table)}

@@ -1,0 +1,34 @@
+"""A machine with calibrated numbers and their standard deviations in the place of those of its file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hydroopt.machine.links import Note
+from hydroopt.machine.machine import Machine
+
+
+def with_calibrated(machine: Machine, found: Mapping[str, tuple[float, float]], source: str) -> Machine:
+    """The machine with numbers by address, each its value and standard deviation in SI; other addresses are left out.
+
+    A vector keeps the largest confidence of its own numbers, and correlations are lost.
+
+    Raises:
+        MachineError: no machine can have these numbers.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> machine = with_calibrated(load_machine("cat215b"), {"boom.a": (5.2, 1e-3)}, "calibrated")
+    >>> machine.link("boom").joint.a, machine.notes["boom.joint.a"].sigma
+    (5.2, 0.001)
+    """
+    numbers, widest = machine.numbers, dict[str, float]()
+    values, notes = dict[str, float](), dict[str, Note]()
+    for name, (value, std) in found.items():
+        if name not in numbers:
+            continue
+        path = numbers[name].path
+        widest[path] = max(widest.get(path, 0.0), std)
+        values[name] = value
+        notes[name] = machine.notes.get(path, Note()).model_copy(update={
+            "sigma": widest[path], "relative": False, "source": source})
+    return machine.with_values(values, notes)
