@@ -66,7 +66,7 @@ class IdentificationProblem(Shown):
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
         experiments, validation: training data, and data for validation only.
-        force_std: (n,) standard deviations of force readings, NaN where unknown; re-estimated from residuals if `reweight`.
+        force_std: (n,) standard deviations of force readings, NaN if unknown; `reweight` estimates them from residuals.
         constraints, priors, physics: what was added by name.
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
