@@ -9,8 +9,9 @@
 #define PAST(at, value) _mm256_stream_pd(at, (__m256d)(value))
 #else
 #define LANES 2
-#define PAST(at, value) (*(slot *)(at) = (value))
+#define PAST(at, value) HERE(at, value)
 #endif
+#define HERE(at, value) (*(slot *)(at) = (value))
 typedef double real __attribute__((vector_size(8 * LANES)));
 typedef double slot __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 #ifdef VECTOR_LIBRARY
@@ -31,64 +32,76 @@ static inline real each_fmax(real x, real z) { real y; for (int l = 0; l < LANES
 /* Entries of an output from `first` on, up to `end`. */
 typedef struct { long first, end; } span;
 {% for output in outputs %}
-{% set number = loop.index0 %}
-static const span written{{ number }}[] = { {%- for start, stop in runs[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
-static const span zero{{ number }}[] = { {%- for start, stop in gaps[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+static const span written{{ loop.index0 }}[] = { {%- for start, stop in runs[loop.index0] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+static const span zero{{ loop.index0 }}[] = { {%- for start, stop in gaps[loop.index0] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
 {% endfor %}
 
-/* Entry k of sample s of an output is at out[k * step + s]; results `past` the caches fetch no line that they overwrite. */
-static void keep(const span *some, const real *y, double *out, long step, long left, long past)
+static void keep(const span *some, const real *y, double *out, long step, long left)
 {
     for (; some->end; some++)
-        for (long k = some->first; k < some->end; k++, y++) {
-            double *const at = out + k * step;
-            if (left >= LANES && past) PAST(at, *y);
-            else if (left >= LANES) *(slot *)at = *y;
-            else for (long l = 0; l < left; l++) at[l] = (*y)[l];
-        }
+        for (long k = some->first; k < some->end; k++)
+            for (long l = 0; l < left; l++) out[k * step + l] = y[k][l];
 }
 
 static void blank(const span *some, double *out, long step, long n, long past)
 {
     const real nothing = {0};
     for (; some->end; some++)
-        for (long k = some->first; k < some->end; k++)
-            for (long s = 0; s < n; s += LANES) keep((const span[]){ {0, 1}, {0, 0} }, &nothing, out + k * step + s, step, n - s, past);
+        for (double *at = out + some->first * step; at < out + some->end * step; at += step)
+            for (long s = 0; s < n; s += LANES)
+                if (n - s < LANES) for (long l = s; l < n; l++) at[l] = 0;
+                else if (past) PAST(at + s, nothing);
+                else HERE(at + s, nothing);
 }
 
-static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}real *restrict y)
+/* As many samples as there are lanes, entry k of an output at out[k * step]: in the caches, or past them, so that no line
+   is fetched that is overwritten. */
+{% for name in ("here", "past") %}
+static void {{ name }}({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}double *const *out, const long *step)
 {
+{% for output in outputs %}
+    double *const y{{ loop.index0 }} = out[{{ loop.index0 }}];
+    const long step{{ loop.index0 }} = step[{{ loop.index0 }}];
+{% endfor %}
 {% for line in lines %}
-    {{ line }}
+    {{ line.replace("PUT", name.upper(), 1) }}
 {% endfor %}
 }
 
-/* What is always zero is written only if `whole`. */
+{% endfor %}
+/* Entry k of sample s of an output is at out[k * step + s]. What is always zero is written only if `whole`. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
-void over(long n, const double *const *in, const long *stride, double *const *out, const long *step, long past, long whole)
+void over(long n, const double *const *in, const long *stride, double *const *out, const long *step, long past_caches, long whole)
 {
     for (long s = 0; s < n; s += LANES) {
 {% for given in inputs %}
         real x{{ loop.index0 }}[{{ given.size or 1 }}];
 {% endfor %}
-        real y[{{ entries or 1 }}];
         for (int l = 0; l < LANES; l++) {
             const long at = s + l < n ? s + l : n - 1;
 {% for given in inputs %}
             for (int k = 0; k < {{ given.size }}; k++) x{{ loop.index0 }}[k][l] = in[{{ loop.index0 }}][at * stride[{{ loop.index0 }}] + k];
 {% endfor %}
         }
-        kernel({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}y);
+        double *const to[] = { {%- for output in outputs %}out[{{ loop.index0 }}] + s{{ ", " if not loop.last }}{% endfor -%} };
+        if (n - s < LANES) {
 {% for output in outputs %}
-        keep(written{{ loop.index0 }}, y + {{ firsts[loop.index0] }}, out[{{ loop.index0 }}] + s, step[{{ loop.index0 }}], n - s, past);
+            real last{{ loop.index0 }}[{{ output.entries | length or 1 }}];
 {% endfor %}
+            here({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}(double *const[]){ {%- for output in outputs %}(double *)last{{ loop.index0 }}{{ ", " if not loop.last }}{% endfor -%} },
+                 (const long[]){ {%- for output in outputs %}LANES{{ ", " if not loop.last }}{% endfor -%} });
+{% for output in outputs %}
+            keep(written{{ loop.index0 }}, last{{ loop.index0 }}, to[{{ loop.index0 }}], step[{{ loop.index0 }}], n - s);
+{% endfor %}
+        } else if (past_caches) past({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
+        else here({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
     }
 {% for output in outputs %}
-    if (whole) blank(zero{{ loop.index0 }}, out[{{ loop.index0 }}], step[{{ loop.index0 }}], n, past);
+    if (whole) blank(zero{{ loop.index0 }}, out[{{ loop.index0 }}], step[{{ loop.index0 }}], n, past_caches);
 {% endfor %}
 #ifdef __AVX__
-    if (past) _mm_sfence();
+    if (past_caches) _mm_sfence();
 #endif
 }

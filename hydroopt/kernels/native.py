@@ -266,15 +266,12 @@ def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CD
 def source(made: Program) -> str:
     """The kernel's C: a few samples side by side in each value, as many as the processor's registers hold."""
     written = [[made.number(ref) != 0.0 for ref in out.entries] for out in made.outputs]
-    place: dict[tuple[str, int], int] = {}
-    firsts = []
-    for out, mask in zip(made.outputs, written, strict=True):
-        firsts.append(len(place))
-        place |= {(out.name, k): len(place) + n for n, k in enumerate(np.flatnonzero(mask).tolist())}
-    number = {given.name: k for k, given in enumerate(made.inputs)}
+    given = {each.name: k for k, each in enumerate(made.inputs)}
+    place = {out.name: k for k, out in enumerate(made.outputs)}
     lines = c_writer.statements(made, c_writer.Naming(
-        source=lambda name, k: f"x{number[name]}[{k}]",
-        target=lambda name, k: f"y[{place[name, k]}] = {{}};" if (name, k) in place else None,
+        source=lambda name, k: f"x{given[name]}[{k}]",
+        target=lambda name, k: (f"PUT(y{place[name]} + {k} * step{place[name]}, {{}});" if written[place[name]][k]
+                                else None),
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
 
@@ -283,7 +280,7 @@ def source(made: Program) -> str:
     return environment.get_template("kernel.c").render(
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}), lines=lines,
         inputs=made.inputs, outputs=made.outputs, runs=[_runs(mask, of=True) for mask in written],
-        gaps=[_runs(mask, of=False) for mask in written], entries=len(place), firsts=firsts)
+        gaps=[_runs(mask, of=False) for mask in written])
 
 
 def _runs(mask: Sequence[bool], *, of: bool) -> list[tuple[int, int]]:
