@@ -321,7 +321,8 @@ def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: 
     """Only what the outputs need, each value right before its first use."""
     place: dict[int, int] = {}
     nodes: list[Node] = []
-    for root in (ref.node for output in outputs for ref in output.entries):
+    for root in (ref.node for output in outputs for column in range(output.columns)
+                 for ref in output.entries[column::output.columns]):
         stack = [(root, False)]
         while stack:
             index, ready = stack.pop()

@@ -9,7 +9,7 @@ import casadi as ca
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
+from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw, skew
 
 UP = ca.SX(ca.DM([0, 0, 1]))
 STILL = ca.SX(3, 1)
@@ -42,11 +42,15 @@ class Motion(NamedTuple):
         return Motion(
             self.pose @ inner,
             back @ (self.velocity + ca.cross(self.rotation, r)) + velocity,
-            back @ (self.acceleration + ca.cross(self.rotation_rate, r)
-                    + ca.cross(self.rotation, ca.cross(self.rotation, r)))
-            + 2 * ca.cross(turning, velocity) + acceleration,
+            back @ (self.acceleration + self.spread @ r) + 2 * ca.cross(turning, velocity) + acceleration,
             turning + rotation,
             back @ self.rotation_rate + ca.cross(turning, rotation) + rotation_rate)
+
+    @property
+    def spread(self) -> ca.SX:
+        """(3, 3) [1/s²]: p̈ of a point of the body is that of the origin + spread · (its place in P)."""
+        turn = skew(self.rotation)
+        return skew(self.rotation_rate) + turn @ turn
 
     def fixed(self, inner: Pose) -> Motion:
         """Motion of another frame fixed to the same body."""

@@ -40,7 +40,7 @@ RANK = 1e-6
 def body_regressor(motion: Motion) -> ca.SX:
     """Matrix (6, 10) with force and moment about the origin of P = A·φ (Eq. 4.14)."""
     w, wd, a = motion.rotation, motion.rotation_rate, motion.acceleration
-    force = ca.horzcat(a, skew(wd) + skew(w) @ skew(w), ca.SX(3, 6))
+    force = ca.horzcat(a, motion.spread, ca.SX(3, 6))
     moment = ca.horzcat(ca.SX(3, 1), -skew(a), _bullet(wd) + skew(w) @ _bullet(w))
     return ca.vertcat(force, moment)
 
@@ -106,10 +106,6 @@ class Dynamics:
         if not end:
             return self.links[name]
         return self.cylinders[name].barrel if end == "barrel" else self.cylinders[name].rod
-
-    def joint_regressor(self, owner: str) -> ca.SX:
-        """Generalised forces (n, 10) due to one body at the joints, by d'Alembert's principle."""
-        return self._allowed(owner).T @ body_regressor(self.body_motion(owner))
 
     def _allowed(self, owner: str) -> ca.SX:
         motion = self.body_motion(owner)
@@ -291,7 +287,8 @@ class Dynamics:
             psi = ca.DM(np.where(parameters.nominal == 0, parameters.scale, parameters.nominal))
         columns: dict[str, ca.SX] = {}
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            block = self.at_balances(self.joint_regressor(owner))
+            # six columns are fewer than ten
+            block = self.at_balances(self._allowed(owner).T) @ body_regressor(self.body_motion(owner))
             columns |= {f"{owner}.{element}": block[:, k] for k, element in enumerate(inertia.NAMES)}
         columns |= self._effort_columns(parameters, psi)
         return ca.horzcat(*[columns[name] for name in parameters.names])

@@ -123,8 +123,9 @@ class StreamedExperiment:
             LogError: a piece cannot be used, with its rows.
         """
         margin = self._margin
+        beyond = 0 if self.stream.piece % BLOCK == 0 else BLOCK  # where blocks cross the borders of pieces
         totals = Totals(self.model, self._bases)
-        for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, BLOCK + margin))):
+        for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, beyond + margin))):
             totals.add(part, self.stream.survey.step)
         totals.known, totals.others = totals.known.expanded(), totals.others.expanded()
         return totals
