@@ -20,7 +20,7 @@ from hydroopt.logs.log import Log, full_layout, given_layout, left_out
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.spline import MIN_SAMPLES, Grid
-from hydroopt.logs.table import in_si, kind_of, refuse_damage, stamps_of
+from hydroopt.logs.table import Table, in_si, kind_of, refuse_damage, stamps_of
 from hydroopt.logs.treatment import Samples, choose, treat
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ BLOCKS, BLOCK = 16, 4096
 @dataclass(frozen=True)
 class Survey:
     """Summary of all rows: first and last time [s], the usual step [s], how many there are of them and the
-    time they take [s], gaps not counted; extremes of every channel, and how far each moves in each block.
+    time they take [s], gaps not counted; extremes of every channel.
     """
 
     first: float
@@ -47,7 +47,6 @@ class Survey:
     steps: int
     moved: float
     extremes: Mapping[str, tuple[float, float]]
-    ranges: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -162,13 +161,14 @@ class LogStream:
     def survey(self) -> Survey:
         """One look at all rows; the extremes of a channel without a number are inf and -inf.
 
+        Where the file states the extremes of a channel its numbers are not read for them.
+
         Raises:
             LogError: there are not two times.
         """
-        extremes = dict.fromkeys(self.units, (np.inf, -np.inf))
-        ranges: dict[str, list[Array]] = {name: [] for name in self.units}
+        extremes = dict.fromkeys(self.units, (np.inf, -np.inf)) | self._stated
         first, last, step, steps, moved = np.nan, np.nan, np.nan, 0, 0.0
-        for samples in self.read(_ranges(self.rows, self.piece // BLOCK * BLOCK or BLOCK)):
+        for samples in self.read(_ranges(self.rows, self.piece), self.units.keys() - self._stated.keys()):
             t = samples.t[np.isfinite(samples.t)]
             if np.isnan(last) and t.size > 1:
                 first, last, step = float(t[0]), float(t[0]), float(np.median(np.diff(t)))
@@ -176,16 +176,37 @@ class LogStream:
             usual = long[(long > 0) & (long <= 3.0 * step)]
             steps, moved, last = steps + usual.size, moved + float(usual.sum()), float(t[-1]) if t.size else last
             for name, x in samples.channels.items():
-                starts = np.arange(0, x.size, BLOCK)
-                low, high = np.fmin.reduceat(x, starts), np.fmax.reduceat(x, starts)
-                with np.errstate(invalid="ignore"):  # of infinities
-                    ranges[name].append(high - low)
-                extremes[name] = (min(extremes[name][0], float(np.fmin.reduce(low))),
-                                  max(extremes[name][1], float(np.fmax.reduce(high))))
+                low, high = extremes[name]
+                extremes[name] = (min(low, float(np.fmin.reduce(x))), max(high, float(np.fmax.reduce(x))))
         if not steps:
             raise LogError("times do not increase", where=self.path, remedy="select other rows")
-        return Survey(first, last, step, steps, moved, extremes,
-                      {name: np.nan_to_num(np.concatenate(parts)) for name, parts in ranges.items()})
+        return Survey(first, last, step, steps, moved, extremes)
+
+    @cached_property
+    def _stated(self) -> Mapping[str, tuple[float, float]]:
+        """Extremes of channels as the file states them for its parts; `treated` checks them against the numbers."""
+        file = ParquetFile(Path(self.path), self.path, self.layout)
+        found: dict[str, tuple[float, float]] = {}
+        for name, column in self.layout.columns.items():
+            if name == "t" or len(column.keys) != 1 or (stated := file.extremes(column.keys[0], self.rows)) is None:
+                continue
+            layout = self.layout.model_copy(update={"columns": {name: column}})
+            ends = Table({column.keys[0]: np.array(stated)}, np.array(self.rows))
+            (values, _) = in_si(layout, ends, self.path)
+            if not ends.damage and np.all(np.isfinite(values[name])):  # otherwise rows have to be named
+                found[name] = float(values[name].min()), float(values[name].max())
+        return found
+
+    def _moves(self, channel: Sequence[str]) -> list[Array]:
+        """How far each of some channels moves in each block of rows."""
+        moves: list[list[Array]] = [[] for _ in channel]
+        for samples in self.read(_ranges(self.rows, self.piece // BLOCK * BLOCK or BLOCK), channel):
+            for name, some in zip(channel, moves, strict=True):
+                starts = np.arange(0, samples.t.size, BLOCK)
+                with np.errstate(invalid="ignore"):  # of infinities
+                    some.append(np.fmax.reduceat(samples.channels[name], starts)
+                                - np.fmin.reduceat(samples.channels[name], starts))
+        return [np.nan_to_num(np.concatenate(parts)) for parts in moves]
 
     @property
     def grid(self) -> Grid:
@@ -202,7 +223,8 @@ class LogStream:
             ranges = [self.rows]
         else:
             spans = {name: high - low for name, (low, high) in self.survey.extremes.items()}
-            way = np.cumsum(sum(self.survey.ranges[name] / spans[name] for name in moving if spans[name] > 0))
+            moving = [name for name in moving if spans[name] > 0]
+            way = np.cumsum(sum(move / spans[name] for name, move in zip(moving, self._moves(moving), strict=True)))
             blocks = np.searchsorted(way, (np.arange(BLOCKS) + 0.5) / BLOCKS * way[-1])
             starts = self.rows[0] + BLOCK * np.unique(blocks)
             ranges = [(int(row), min(int(row) + BLOCK - 1, self.rows[1])) for row in starts]
@@ -229,9 +251,14 @@ class LogStream:
         """Samples as a log after checks and treatments; only findings in the rows `reported` (first, last) are kept.
 
         Raises:
-            LogError: a kind of finding whose action is "error".
+            LogError: a kind of finding whose action is "error", or numbers beyond what the file states of them.
         """
         extremes = {name: self.survey.extremes[name] for name in samples.channels}
+        for name in samples.channels.keys() & self._stated.keys():
+            x, (low, high) = samples.channels[name], extremes[name]
+            if np.fmin.reduce(x) < low or np.fmax.reduce(x) > high:
+                raise LogError(f"{name} has numbers beyond the least and the greatest that the file states of it",
+                               where=self.path, remedy="write the file again")
         piece = replace(samples, reported=reported, whole=extremes)
         kept, segment = treat(piece, self.treatment, self.limits, self.path)
         return Log(self.name, kept.t, kept.channels, kept.sample, segment, kept.findings, self.path, self.sha256,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
@@ -49,12 +51,37 @@ class ColumnBasis:
         made[-1] = force[:, actuator]
         return made
 
+    def spread(self, sums: Array) -> Array:
+        """Sums (c,) of all columns from those of the kept ones (k,)."""
+        return sums if len(self.kept) == len(self.own) else sums @ self.mixing
+
     @cached_property
     def expander(self) -> Array:
         """(k+1, c+1): all columns of [K, f] from the kept ones."""
         made = np.zeros((len(self.kept) + 1, len(self.own) + 1))
         made[:-1, :-1], made[-1, -1] = self.mixing, 1.0
         return made
+
+
+class KeptRows:
+    """Rows [K_i, f_i] of each actuator of a linear model in some columns of K_i alone: the others are not computed."""
+
+    def __init__(self, model: Model, columns: Sequence[NDArray[np.intp]]) -> None:
+        given = model.regressor.sx_in()
+        K = model.regressor.call(given)[0]
+        self._model, self._sizes = model, [len(own) for own in columns]
+        # the last row of each is the place of f
+        self._function = ca.Function("kept_columns", given, [
+            ca.densify(ca.vertcat(K[i, own.tolist()].T, 0)) for i, own in enumerate(columns)])
+
+    def __call__(self, inputs: Sequence[Array], force: Array, out: list[Array] | None) -> tuple[list[Array], list[Array]]:
+        """Rows (k_i + 1, N) of each actuator at inputs of the regressor and forces (N, n), and the memory that they
+        are in: a later call may write over that of as many samples."""
+        made = self._model.over(self._function, *inputs, out=out)
+        rows = [values[:, :, 0].T for values in made]
+        for own, values in zip(rows, force.T, strict=True):
+            own[-1] = values
+        return rows, made
 
 
 def column_bases(model: Model) -> list[ColumnBasis]:

@@ -214,17 +214,18 @@ class Experiment:
         for a, b in pairwise([*np.flatnonzero(new).tolist(), len(new)]):
             yield slice(span[0] + a, span[0] + b)
 
-    def fold_block(self, bands: ActuatorBands, block: slice, middle: float,
-                   psi: Array | None = None) -> tuple[Array, Array]:
+    def fold_block(self, bands: ActuatorBands, block: slice, middle: float, psi: Array | None = None,
+                   rows: Sequence[Array] | None = None) -> None:
         """Add a block by frequency; `middle` is the row at which the second half of the log begins.
 
-        Returns:
-            K (m, n, p) and f (m, n) of all samples of the block.
+        `rows` are those that the bands take, which are written over, if they are known.
         """
-        (K, *_), force = self.equations(psi, block)
+        if rows is None:
+            (K, *_), force = self.equations(psi, block)
+            rows = [basis.rows(K, force, i, extra)
+                    for i, (basis, extra) in enumerate(zip(bands.bases, bands.contrast, strict=True))]
         t = self.motion.t[block]
         step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
-        bands.fold(K, force, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
         if self.calm is not None:
             held = self.inside[block, None] & self.calm[block]
             edges = [np.flatnonzero(np.diff(column, prepend=False, append=False)).tolist() for column in held.T]
@@ -232,12 +233,13 @@ class Experiment:
                      for first, end in zip(some[::2], some[1::2], strict=True)]
             dry = np.isin(np.array(self.model.parameters.kinds), DRY)
             for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
-                own, rows = np.flatnonzero(self.pattern[i]), slice(first, end)
-                total = np.append(np.where(dry, 0.0, K[rows, i].sum(axis=0))[own], force[rows, i].sum())
+                basis, own = bands.bases[i], rows[i][:, first:end]
+                total = np.append(np.where(dry[basis.own], 0.0, basis.spread(own[: len(basis.kept)].sum(axis=1))),
+                                  own[-1].sum())
                 (begun, ended), (begin, finish) = (x[[block.start + first, block.start + end - 1]].tolist()
                                                    for x in (self.log.sample, self.motion.t))
                 bands.holds.append(i, Hold(begun, ended, begin, finish, end - first, total, lever * dry), step)
-        return K, force
+        bands.fold(rows, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
 
     def _levers(self, origin: int, spans: Sequence[tuple[int, int, int]], psi: Array | None) -> Array:
         """Sizes (h, p) of an actuator's columns just before its joint moves that rests in the spans (actuator, first

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from functools import cache
 
@@ -46,10 +47,14 @@ class ActuatorTriangles:
             rows = np.flatnonzero(used[:, i])
             if not len(rows):
                 continue
-            block = basis.rows(K, force, i)[:, rows]
-            self.sums[i, basis.columns] += block.sum(axis=1) @ basis.expander
-            self.compact[i] = folded_rows(self.compact[i], block.T)
-            self.samples[i] += len(rows)
+            self.fold_rows(i, basis.rows(K, force, i)[:, rows])
+
+    def fold_rows(self, actuator: int, rows: Array) -> None:
+        """Add rows (k+1, N) of [K, f] of an actuator in the columns that its basis keeps."""
+        basis = self.bases[actuator]
+        self.sums[actuator, basis.columns] += rows.sum(axis=1) @ basis.expander
+        self.compact[actuator] = folded_rows(self.compact[actuator], rows.T)
+        self.samples[actuator] += rows.shape[1]
 
     def add(self, other: ActuatorTriangles) -> None:
         """Add the triangles of another with the same bases."""
@@ -85,10 +90,26 @@ def folded_rows(rows: Array, more: Array, most: int = SLACK) -> Array:
     k = rows.shape[1]
     for start in range(0, len(more), ROWS):
         part = more[start : start + ROWS]
-        block = np.empty((len(rows) + len(part), k), order="F")
+        block = _room(len(rows) + len(part), k)
         block[: len(rows)], block[len(rows) :] = rows, part
-        rows = _blocked_triangle(block) if len(block) > max(k, most) else block
+        rows = _blocked_triangle(block) if len(block) > max(k, most) else block.copy()
     return rows
+
+
+class _Memory(threading.local):
+    """Memory of a thread: fresh memory for each block costs as much as its copy."""
+
+    block = np.empty(0)
+
+
+_memory = _Memory()
+
+
+def _room(rows: int, columns: int) -> Array:
+    """A block (rows, columns) in Fortran's order, in the memory of the one before."""
+    if _memory.block.size < rows * columns:
+        _memory.block = np.empty(rows * columns)
+    return _memory.block[: rows * columns].reshape((rows, columns), order="F")
 
 
 def compact(rows: Array) -> Array:

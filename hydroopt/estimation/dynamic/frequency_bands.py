@@ -49,35 +49,50 @@ class ActuatorBands:
         self.sums = np.zeros((n, p + 1))
         self.holds = Holds([basis.own for basis in bases])
 
-    def fold(self, K: Array, force: Array, taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
+    def columns(self, actuator: int) -> NDArray[np.intp]:
+        """Those of K_i in the rows [K_i, C_i, f_i] of an actuator."""
+        return np.concatenate([self.bases[actuator].kept, self.contrast[actuator]])
+
+    def fold(self, rows: Sequence[Array], taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
         """Add a block of samples in a row.
 
         Args:
-            K, force: (N, n, p) and (N, n), zero where they are not known.
-            taken: (N, n) which rows take part.
+            rows: (k_i + m_i + 1, N) of each actuator: its `columns` of K, and forces; they are written over.
+            taken: (N, n) which of them take part.
             later: (N,) which samples are in the second half of their log.
             step: [s] between samples.
         """
-        count = len(force)
+        count = len(later)
         frequency = (np.arange(count) + 0.5) / (2 * count * step)
         band = np.clip(np.floor(np.log(frequency / LOWEST) / np.log(RATIO)), 0, BANDS - 1)
         edges = np.searchsorted(band, np.arange(BANDS + 1))
         sign = np.where(later, 1.0, -1.0)
-        for i, (basis, contrast) in enumerate(zip(self.bases, self.contrast, strict=True)):
+        for i, (basis, block) in enumerate(zip(self.bases, rows, strict=True)):
             here = taken[:, i]
             if not np.any(here):
                 continue
-            block = basis.rows(K, force, i, contrast)
-            np.copyto(block, 0.0, where=~here)
+            block[:, np.flatnonzero(~here)] = 0.0
             k = len(basis.kept)
             self.sums[i, basis.columns] += block.sum(axis=1)[np.r_[:k, -1]] @ basis.expander
             self.samples[i] += np.sum(here)
-            block[k:-1] *= sign
-            turned = dct(block, norm="ortho", overwrite_x=True).T
+            turned = self._turned(block, i, sign).T
             self.counts[i] += np.diff(edges) * np.mean(here)
             for b in range(BANDS):
                 if edges[b] < edges[b + 1]:
                     self.rows[i][b] = folded_rows(self.rows[i][b], turned[edges[b] : edges[b + 1]])
+
+    def _turned(self, block: Array, actuator: int, sign: Array) -> Array:
+        """The transform of an actuator's rows, whose C_i have one `sign` (N,) in each sample."""
+        k = len(self.bases[actuator].kept)
+        place = {column: row for row, column in enumerate(self.bases[actuator].kept.tolist())}
+        repeated = [place.get(column) for column in self.contrast[actuator].tolist()]
+        if None in repeated or np.ptp(sign):
+            block[k:-1] *= sign
+            return np.asarray(dct(block, norm="ortho", overwrite_x=True))
+        # in one half of the log C_i are columns of K_i, or their opposites
+        block[:k], block[-1] = dct(block[:k], norm="ortho", overwrite_x=True), dct(block[-1], norm="ortho")
+        block[k:-1] = sign[0] * block[repeated]
+        return block
 
     def add(self, other: ActuatorBands, step: float = 0.0) -> None:
         """Add what another has folded: of another log, or of a later piece of the same one, sampled each `step` [s]."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis, column_bases
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
 from hydroopt.estimation.dynamic.experiment import (
     AnyExperiment,
     Experiment,
@@ -135,6 +135,12 @@ class StreamedExperiment:
         """Columns that are folded: half of them, and the others follow."""
         return column_bases(self.model)
 
+    @cached_property
+    def _rows(self) -> KeptRows:
+        """Computes the rows that are folded."""
+        bands = ActuatorBands(self.model.parameters, self._bases)
+        return KeptRows(self.model, [bands.columns(i) for i in range(len(self._bases))])
+
     @property
     def moves(self) -> np.ndarray:
         """Which balances' joints (r,) move in more samples than noise explains, or drive without dry friction."""
@@ -215,7 +221,7 @@ class StreamedExperiment:
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
         """Results of `work` on all inputs, in their order, computed in parallel with few results in memory."""
         # created before threads use them
-        _ = self._sample, self._bases, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
+        _ = self._sample, self._rows, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:
@@ -251,10 +257,16 @@ class StreamedExperiment:
         moving = np.sum(np.abs(data.motion.qd[a:b]) > self._sample[1].slow, axis=0).astype(float)
         totals.samples, totals.moving = int(b - a), moving[self.model.dynamics.kept]
         totals.sample_count = int(np.sum(data.inside[a:b]))
+        memory: list[Array] | None = None
         for block in data.blocks(origin, (int(a), int(b))):
-            K, force = data.fold_block(totals.known, block, float(np.mean(self.stream.rows)))
-            others = data.inside[block, None] & ~data.known[block] & np.isfinite(force)
-            totals.others.fold(K, force, others)
+            memory = memory if memory is not None and len(memory[0]) == block.stop - block.start else None
+            rows, memory = self._rows(data.inputs(block), data.force[block], memory)
+            others = data.inside[block, None] & ~data.known[block] & np.isfinite(data.force[block])
+            for i, (some, basis) in enumerate(zip(rows, self._bases, strict=True)):
+                if np.any(others[:, i]):
+                    places = np.r_[: len(basis.kept), len(some) - 1]
+                    totals.others.fold_rows(i, some[np.ix_(places, np.flatnonzero(others[:, i]))])
+            data.fold_block(totals.known, block, float(np.mean(self.stream.rows)), rows=rows)
         return totals
 
 

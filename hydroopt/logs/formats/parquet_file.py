@@ -112,6 +112,23 @@ class ParquetFile:
                 return np.asarray(values)
         return np.asarray(column.cast("float64", safe=False), dtype=float)
 
+    def extremes(self, key: RawKey, rows: tuple[int, int]) -> tuple[float, float] | None:
+        """The least and the greatest number of a column in data rows (first, last), as the file states them; None where
+        it does not, or only together with other rows."""
+        column, begin = self._names.index(self._column(key)), 1
+        found: list[tuple[float, float]] = []
+        for k in range(self.meta.num_row_groups):
+            group = self.meta.row_group(k)
+            end = begin + group.num_rows - 1
+            if begin <= rows[1] and end >= rows[0]:
+                stated = group.column(column).statistics if group.num_columns == len(self._names) else None
+                if begin < rows[0] or end > rows[1] or stated is None or not stated.has_min_max:
+                    return None
+                found.append((float(stated.min), float(stated.max)))
+            begin = end + 1
+        least, most = zip(*found, strict=True)
+        return min(least), max(most)
+
     def _batches(self, names: list[str], ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, Any]]:
         """(first row, Arrow record batch) of the row groups that hold any of the ranges."""
         row = 1
