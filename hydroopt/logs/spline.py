@@ -166,12 +166,22 @@ class Basis:
 
     def derivative(self, x: Array, order: int) -> Any:
         """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
+        powers, columns, ends = self._powers if x is self.x else self._powers_at(x)
+        values = powers[:, : _ORDER - order] @ _derived(order)
+        return sp.csr_array((values.ravel(), columns, ends), shape=(x.size, self.intervals + _DEGREE))
+
+    @cached_property
+    def _powers(self) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
+        return self._powers_at(self.x)
+
+    def _powers_at(self, x: Array) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
+        """Powers (N, 6) of the places in their knot intervals, and which splines live there, as of a sparse matrix."""
         cell = np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
-        powers = np.vander(x - cell, _ORDER - order, increasing=True)
-        values = powers @ _derived(order)
+        powers = np.ones((_ORDER, x.size))
+        for k in range(1, _ORDER):
+            np.multiply(powers[k - 1], x - cell if k == 1 else powers[1], out=powers[k])
         columns = cell[:, None] + np.arange(_ORDER, dtype=np.int32)
-        ends = np.arange(0, values.size + 1, _ORDER, dtype=np.int32)
-        return sp.csr_array((values.ravel(), columns.ravel(), ends), shape=(x.size, self.intervals + _DEGREE))
+        return powers.T, columns.ravel(), np.arange(0, columns.size + 1, _ORDER, dtype=np.int32)
 
     @cached_property
     def penalty(self) -> Array:

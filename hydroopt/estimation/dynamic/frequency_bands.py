@@ -90,8 +90,11 @@ class ActuatorBands:
             block[k:-1] *= sign
             return np.asarray(dct(block, norm="ortho", overwrite_x=True))
         # in one half of the log C_i are columns of K_i, or their opposites
-        block[:k], block[-1] = dct(block[:k], norm="ortho", overwrite_x=True), dct(block[-1], norm="ortho")
-        block[k:-1] = sign[0] * block[repeated]
+        for some in (block[:k], block[-1:]):
+            turned = dct(some, norm="ortho", overwrite_x=True)
+            if not np.may_share_memory(turned, some):
+                some[:] = turned
+        np.multiply(sign[0], block[repeated], out=block[k:-1])
         return block
 
     def add(self, other: ActuatorBands, step: float = 0.0) -> None:

@@ -92,7 +92,7 @@ class Phases:
         edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             span, t = slice(start, stop), motion.t[start:stop]
-            places = np.array([np.searchsorted(t, t + WINDOW * (k / PARTS - 0.5) + sign * ROUNDING)
+            places = np.array([_places(t, WINDOW * (k / PARTS - 0.5) + sign * ROUNDING)
                                for k, sign in zip(range(PARTS + 1), (-1, *[0] * (PARTS - 1), 1), strict=True)])
             rest[span] = _same_mean(angles[span], places, limits.sigma)
             moving[span] &= ~rest[span]
@@ -114,17 +114,36 @@ def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray
 
     `places` (parts + 1, N) are the first samples of the parts, and one after the last.
     """
-    same = []
-    for x, std in zip((angles - angles.mean(axis=0)).T, sigma, strict=True):
+    counts = np.diff(places, axis=0)
+    with np.errstate(divide="ignore"):  # a part without samples has no mean
+        share = 1.0 / counts
+    empty = counts == 0
+    if gaps := np.any(empty):
+        share[empty] = np.nan
+    fewest = np.min(np.where(empty, np.inf, counts) if gaps else counts, axis=0)
+    apart = np.maximum(np.multiply.outer(SAME * sigma, np.sqrt(2 / fewest)), STANDSTILL * WINDOW)
+    same = np.empty(angles.shape, dtype=bool)
+    for j, x in enumerate((angles - angles.mean(axis=0)).T):
         sums = np.concatenate([[0.0], np.cumsum(x)])[places]
-        low, high, fewest = np.full((3, len(x)), [[np.inf], [-np.inf], [np.inf]])
-        for before, after, count in zip(sums, sums[1:], np.diff(places, axis=0), strict=False):
-            with np.errstate(invalid="ignore"):  # a part without samples has no mean
-                mean = (after - before) / count
-            low, high = np.fmin(low, mean), np.fmax(high, mean)
-            fewest = np.fmin(fewest, np.where(count > 0, count, np.inf))
-        same.append(high - low <= np.maximum(SAME * std * np.sqrt(2 / fewest), STANDSTILL * WINDOW))
-    return np.array(same).T
+        means = np.diff(sums, axis=0)
+        means *= share
+        low, high = (np.fmin, np.fmax) if gaps else (np.minimum, np.maximum)
+        same[:, j] = high.reduce(means) - low.reduce(means) <= apart[j]
+    return same
+
+
+def _places(t: Array, shift: float) -> NDArray[np.intp]:
+    """The first sample at or after each of the increasing times t (N,) [s] + `shift`."""
+    wanted, last = t + shift, len(t) - 1
+    if not last:
+        return np.searchsorted(t, wanted)
+    # where the step is even, so many samples away
+    found = np.clip(np.arange(len(t)) + int(np.ceil(shift * last / (t[-1] - t[0]))), 0, len(t))
+    after = np.where(found > last, np.inf, t.take(found, mode="clip"))
+    before = np.where(found == 0, -np.inf, t.take(found - 1, mode="clip"))
+    wrong = np.flatnonzero((before >= wanted) | (after < wanted))
+    found[wrong] = np.searchsorted(t, wanted[wrong])
+    return found
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:

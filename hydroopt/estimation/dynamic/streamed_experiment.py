@@ -263,9 +263,9 @@ class StreamedExperiment:
             rows, memory = self._rows(data.inputs(block), data.force[block], memory)
             others = data.inside[block, None] & ~data.known[block] & np.isfinite(data.force[block])
             for i, (some, basis) in enumerate(zip(rows, self._bases, strict=True)):
-                if np.any(others[:, i]):
-                    places = np.r_[: len(basis.kept), len(some) - 1]
-                    totals.others.fold_rows(i, some[np.ix_(places, np.flatnonzero(others[:, i]))])
+                if (places := np.flatnonzero(others[:, i])).size:
+                    kept = some[: len(basis.kept)].take(places, axis=1)
+                    totals.others.fold_rows(i, np.vstack([kept, some[-1].take(places)]))
             data.fold_block(totals.known, block, float(np.mean(self.stream.rows)), rows=rows)
         return totals
 
