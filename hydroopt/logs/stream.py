@@ -166,7 +166,7 @@ class LogStream:
         Raises:
             LogError: there are not two times.
         """
-        extremes = dict.fromkeys(self.units, (np.inf, -np.inf)) | self._stated
+        extremes = {**dict.fromkeys(self.units, (np.inf, -np.inf)), **self._stated}
         first, last, step, steps, moved = np.nan, np.nan, np.nan, 0, 0.0
         for samples in self.read(_ranges(self.rows, self.piece), self.units.keys() - self._stated.keys()):
             t = samples.t[np.isfinite(samples.t)]

@@ -9,6 +9,7 @@ from pyarrow import parquet
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import stream as streaming
+from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import LogStream, open_log, stream
@@ -142,3 +143,34 @@ def test_dates_and_epochs_are_read_in_pieces_as_in_memory(tmp_path: Path, stamps
     assert next(after.read([after.rows])).t.tobytes() == whole.split(0.5)[1].t.tobytes()
     assert pieces.origin is not None
     assert ("clock" in {one.kind for one in pieces.findings}) is ("clock" in {one.kind for one in whole.findings})
+
+
+@pytest.mark.parametrize("column", ["numbers", "missing numbers", "no statistics", "differences", "whole numbers"])
+def test_extremes_are_those_of_the_numbers_whether_the_file_states_them_or_not(tmp_path: Path, column: str) -> None:
+    data, layout = columns(), None
+    q = data["boom.q [deg]"]
+    if column == "missing numbers":
+        q[[3, 1500]] = np.nan
+    if column == "whole numbers":
+        data["boom.q [deg]"] = np.round(q).astype(np.int16)
+    if column == "differences":
+        layout = LogMap.model_validate({"columns": {
+            "t": {"column": "t [s]", "unit": "s"},
+            "boom_cylinder.force": {"column": "boom_cylinder.p_head [bar]", "minus": "note", "unit": "kN"}}})
+    statistics = column != "no statistics"
+    parquet.write_table(pa.table({name: pa.array(x, from_pandas=True) for name, x in data.items()}),
+                        tmp_path / "log.parquet", row_group_size=700, write_statistics=statistics)
+    log = stream(tmp_path / "log.parquet", mapping=layout, piece=800)
+    assert bool(log._stated) == (statistics and column != "differences")
+    for part in (log, log.slice(10, 3000), log.slice(700, 2100)):
+        read = [samples.channels for samples in part.read([part.rows])]
+        for name, x in read[0].items():
+            assert part.survey.extremes[name] == (np.nanmin(x), np.nanmax(x))
+
+
+def test_numbers_beyond_those_that_the_file_states_are_refused(tmp_path: Path) -> None:
+    log = stream(write(tmp_path / "log.parquet", columns()), piece=800)
+    low, high = log._stated["boom.q"]
+    log.__dict__["_stated"] = {"boom.q": (low, high - 1e-9)}
+    with pytest.raises(LogError, match=r"boom\.q has numbers beyond the least and the greatest that the file states"):
+        [log.treated(samples, core) for samples, core in log.windows((60, 60))]

@@ -74,7 +74,8 @@ class KeptRows:
         self._function = ca.Function("kept_columns", given, [
             ca.densify(ca.vertcat(K[i, own.tolist()].T, 0)) for i, own in enumerate(columns)])
 
-    def __call__(self, inputs: Sequence[Array], force: Array, out: list[Array] | None) -> tuple[list[Array], list[Array]]:
+    def __call__(self, inputs: Sequence[Array], force: Array,
+                 out: list[Array] | None = None) -> tuple[list[Array], list[Array]]:
         """Rows (k_i + 1, N) of each actuator at inputs of the regressor and forces (N, n), and the memory that they
         are in: a later call may write over that of as many samples."""
         made = self._model.over(self._function, *inputs, out=out)

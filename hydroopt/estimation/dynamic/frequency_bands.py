@@ -85,8 +85,8 @@ class ActuatorBands:
         """The transform of an actuator's rows, whose C_i have one `sign` (N,) in each sample."""
         k = len(self.bases[actuator].kept)
         place = {column: row for row, column in enumerate(self.bases[actuator].kept.tolist())}
-        repeated = [place.get(column) for column in self.contrast[actuator].tolist()]
-        if None in repeated or np.ptp(sign):
+        repeated = [place[column] for column in self.contrast[actuator].tolist() if column in place]
+        if len(repeated) < len(self.contrast[actuator]) or np.ptp(sign):
             block[k:-1] *= sign
             return np.asarray(dct(block, norm="ortho", overwrite_x=True))
         # in one half of the log C_i are columns of K_i, or their opposites

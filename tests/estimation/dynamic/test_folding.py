@@ -5,8 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis, column_bases
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory
@@ -55,3 +56,42 @@ def test_left_out_columns_follow_from_those_kept_at_every_speed(name: str, scale
         size = np.linalg.norm(K[:, i], axis=0).max()
         left = np.linalg.norm(K[:, i, basis.kept] @ basis.mixing - K[:, i, basis.own], axis=0)
         assert np.all(left < 1e-11 * size)  # what is zero at rest, too
+
+
+@pytest.mark.parametrize("count", [60, 300])
+def test_rows_of_some_columns_are_those_of_the_whole_regressor(cat215b: Model, count: int) -> None:
+    motion = random_trajectory(cat215b, duration=count / 20, rate=20.0, seed=4)
+    inputs = [x[:count] for x in (motion.q, motion.qd, motion.qdd)]
+    bases = column_bases(cat215b)
+    extra = [basis.own[-2:] for basis in bases]
+    kept = KeptRows(cat215b, [np.concatenate([basis.kept, more]) for basis, more in zip(bases, extra, strict=True)])
+    force = np.random.default_rng(1).standard_normal((count, 3))
+    rows, memory = kept(inputs, force)
+    for again in (False, True):
+        if again:
+            for some in rows:
+                some[:] = np.nan
+            rows, _ = kept(inputs, force, memory)
+        K = cat215b.over(cat215b.regressor, *inputs)[0]
+        for i, (basis, more) in enumerate(zip(bases, extra, strict=True)):
+            wanted = basis.rows(K, force, i, more)
+            np.testing.assert_allclose(rows[i], wanted, rtol=0, atol=1e-13 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("middle", [-1, 1, 100, 1000])
+def test_bands_keep_the_squares_of_rows_that_differ_between_the_halves(cat215b: Model, middle: int) -> None:
+    motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=5)
+    rng, bases = np.random.default_rng(2), column_bases(cat215b)
+    K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
+    force, taken = rng.standard_normal(K.shape[:2]), rng.random(K.shape[:2]) < 0.8
+    later = np.arange(len(K)) >= middle
+    bands = ActuatorBands(cat215b.parameters, bases)
+    rows = [basis.rows(K, force, i, extra)
+            for i, (basis, extra) in enumerate(zip(bases, bands.contrast, strict=True))]
+    bands.fold(rows, taken, later, 0.05)
+    for i, (basis, extra) in enumerate(zip(bases, bands.contrast, strict=True)):
+        v = rng.standard_normal(len(basis.kept) + len(extra) + 1)
+        sign = np.where(later, 1.0, -1.0)[:, None]
+        row = np.hstack([K[:, i, basis.kept], sign * K[:, i, extra], force[:, i, None]])
+        squares = sum(float(np.sum((block @ v) ** 2)) for block in bands.rows[i])
+        assert squares == pytest.approx(float(np.sum((row[taken[:, i]] @ v) ** 2)), rel=1e-11)

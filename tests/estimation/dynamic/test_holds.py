@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fixtures.tiers import tiered
-from hydroopt.estimation.dynamic.friction_sign import Phases, SpeedLimits
+from hydroopt.estimation.dynamic.friction_sign import Phases, SpeedLimits, _places
 from hydroopt.estimation.dynamic.holds import Hold, HoldEquations, Holds
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
@@ -190,3 +190,11 @@ def test_a_stop_is_calm_and_a_reversal_is_not() -> None:
     assert not np.any(phases.calm[t < 4.5])
     assert np.all(phases.rest[t > 4.51])
     assert np.all(phases.calm[t > 4.51])
+
+
+@pytest.mark.parametrize("shift", [-0.5 - 1e-9, -0.25, 0.0, 0.25, 0.5 + 1e-9, 100.0])
+def test_places_of_a_shifted_time_are_found_at_even_and_uneven_steps(shift: float) -> None:
+    rng = np.random.default_rng(3)
+    even = np.arange(500) / 50
+    for t in (even, 1e9 + even, np.cumsum(rng.exponential(0.02, 500)), np.delete(even, np.s_[100:300]), even[:1]):
+        np.testing.assert_array_equal(_places(t, shift), np.searchsorted(t, t + shift))

@@ -1,0 +1,32 @@
+"""The network of comparisons against sorting, and the compiled running median against SciPy's."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import median_filter
+
+from hydroopt.kernels import running_median as own
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 7, 8, 12])
+def test_the_network_sorts_all_zeros_and_ones(size: int) -> None:
+    for number in range(2**size):
+        values = [number >> k & 1 for k in range(size)]
+        for low, high in own._network(size):
+            values[low], values[high] = sorted((values[low], values[high]))
+        assert values == sorted(values)
+
+
+@pytest.mark.parametrize("width", [1, 3, 25])
+@pytest.mark.parametrize("count", [own.FEW, own.FEW + 3])
+def test_medians_are_those_of_scipy(width: int, count: int) -> None:
+    rng = np.random.default_rng(count + width)
+    for x in (rng.standard_normal(count), rng.standard_normal(count).cumsum().round(), np.zeros(count)):
+        np.testing.assert_array_equal(own.running_median(x, width), median_filter(x, width, mode="nearest"))
+
+
+def test_without_a_compiler_scipy_computes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own, "compiler", lambda: None)
+    own._compiled.cache_clear()
+    x = np.random.default_rng(0).standard_normal(own.FEW)
+    np.testing.assert_array_equal(own.running_median(x, 5), median_filter(x, 5, mode="nearest"))
+    own._compiled.cache_clear()
