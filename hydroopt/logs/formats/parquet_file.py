@@ -105,7 +105,7 @@ class ParquetFile:
     def _numbers(column: Any, *, moment: bool) -> NDArray[Any]:
         """An Arrow array as floating point; of a time as dates or whole numbers where it holds these."""
         if (plain := _plain(column)) is not None:
-            return plain if moment and plain.dtype.kind in "iu" else plain.astype(float)
+            return plain if moment and plain.dtype.kind in "iu" else plain.astype(float, copy=False)
         if moment:
             values = column.to_numpy(zero_copy_only=False)
             if values.dtype.kind in "mMiu":
