@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -45,6 +46,9 @@ def calibrate(
     method: Annotated[str, typer.Option(help="Method of estimation: joint or hierarchical.")] = "joint",
     loss: LossName = "squares",
     fix: Fixed = None,
+    compliance: Annotated[str | None, typer.Option(help=(
+        "Joints that give way under gravity, separated by commas, or none, instead of the file's; 'auto': those whose "
+        "compliance predicts held-out poses better."))] = None,
     starts: Starts = 1,
     priors: Priors = True,
     leave_out: Annotated[bool, typer.Option("--without-suspects", help=(
@@ -62,6 +66,7 @@ def calibrate(
     from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
     from hydroopt.estimation.kinematic.calibrate import without_suspects
     from hydroopt.estimation.kinematic.calibration import inputs_of
+    from hydroopt.estimation.kinematic.compliance_choice import choose_compliance, compliant
     from hydroopt.estimation.kinematic.problem import calibration_problem
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.machine.machine_file import load_machine
@@ -73,6 +78,13 @@ def calibrate(
     with progress("reading poses", quiet) as say:
         poses, held_out = _held_out(read_pose_files(tables, mapping=map_file), holdout_stage or (), holdout,
                                     read_pose_files(validate, mapping=map_file) if validate else None)
+        choice = None
+        if compliance is not None:
+            if compliance.strip() == "auto":
+                say("choosing compliant joints by held-out poses", 0.01)
+                choice = choose_compliance(described, poses)
+            joints = [] if compliance.strip() == "none" else compliance.split(",")
+            described = compliant(described, poses, choice.joints if choice else [joint.strip() for joint in joints])
         problem = calibration_problem(described, poses, held_out, priors=priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
@@ -82,9 +94,11 @@ def calibrate(
             if leave_out and np.any(solved.suspicious):
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree", 0.45)
                 solved = without_suspects(solved, starts=starts)
+        solved = replace(solved, compliance_choice=choice)
         say("writing the report", 0.8)
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
-    print_answer(solved, output, quiet=quiet, as_json=as_json)
+    print_answer(solved, output, str(solved) if choice is None else f"{choice}\n{solved}", quiet=quiet,
+                 as_json=as_json)
 
 
 def _held_out(poses: Poses, stages: Sequence[str], part: float, extra: Poses | None) -> tuple[Poses, Poses | None]:

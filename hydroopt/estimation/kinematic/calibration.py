@@ -12,6 +12,7 @@ import numpy as np
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
 from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
+from hydroopt.estimation.kinematic.compliance_candidates import ComplianceChoice
 from hydroopt.estimation.kinematic.prediction import PredictionTest, prediction_test
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes, units_of
@@ -38,6 +39,7 @@ class Calibration(KinematicSolution, Answer):
 
     Attributes:
         all_poses: the calibration with all poses, if those that contradict the others were left out afterwards.
+        compliance_choice: which joints give way, if that was chosen by held-out poses.
 
     >>> import hydroopt, numpy as np
     >>> machine = hydroopt.load_machine("panda_mukca")
@@ -51,6 +53,7 @@ class Calibration(KinematicSolution, Answer):
     """
 
     all_poses: Calibration | None = None
+    compliance_choice: ComplianceChoice | None = None
 
     job = Job.CALIBRATION
 
@@ -210,6 +213,7 @@ class Calibration(KinematicSolution, Answer):
         """Conditioning, correlations, suspects, uniqueness, accuracy over the workspace [m], and settings."""
         identified, workspace, tested = self.observability, self.workspace, self.tested
         freedom = int(self.linearised.rank.sum()) + len(self.problem.distances.length) - identified.rank
+        chosen = {} if self.compliance_choice is None else {"compliance_choice": self.compliance_choice.as_dict()}
         before = () if self.all_poses is None else [_suspect(self.all_poses.problem.poses, s) for s in self.left_out]
         return {
             "combinations": [{"parameters": list(group)} for group in self.combinations],
@@ -228,7 +232,7 @@ class Calibration(KinematicSolution, Answer):
             "stages": [stage.as_dict() for stage in self.stages],
             "sides": [entry for sides in self.sides for entry in sides.entries()],
             "loss": self.problem.loss, "priors": self.problem.priors, "fixed": dict(self.problem.fixed),
-            "seed": self.seed}
+            "seed": self.seed, **chosen}
 
     def files(self) -> Mapping[str, str]:
         """Tables as CSV, and the calibrated machine where one can exist."""

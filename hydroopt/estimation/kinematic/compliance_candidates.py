@@ -1,0 +1,54 @@
+"""Sets of joints that give way under gravity, and how well each predicts held-out poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from hydroopt.results.tables import number
+
+CLEAR = 2.0
+"""Standard errors by which squared errors of held-out poses must fall for one more joint to count as compliant."""
+RULE = ("Joints are taken in one after the other, the one first that lowers the squared errors of held-out poses most, "
+        f"as long as they fall by {CLEAR:g} standard errors of the difference.")
+
+
+@dataclass(frozen=True)
+class ComplianceCandidate:
+    """Joints that give way, and the squared error of held-out poses (mean per row, in σ²; noise alone gives at most 1).
+
+    `difference` and `std` are those from the set that was chosen before, with the standard error of the difference.
+    """
+
+    joints: tuple[str, ...]
+    held_out: float
+    difference: float
+    std: float
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class ComplianceChoice:
+    """The sets of compliant joints that were tried, in their order; the last that is `chosen` holds."""
+
+    candidates: tuple[ComplianceCandidate, ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Those that give way."""
+        return [each for each in self.candidates if each.chosen][-1].joints
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry ``compliance_choice`` of estimate.json."""
+        return {"rule": RULE, "joints": list(self.joints), "candidates": [
+            {"joints": list(each.joints), "held_out": number(each.held_out), "difference": number(each.difference),
+             "std": number(each.std), "chosen": each.chosen} for each in self.candidates]}
+
+    def __str__(self) -> str:
+        names = [", ".join(each.joints) or "none" for each in self.candidates]
+        width = max(map(len, ("compliant", *names)))
+        lines = [f"  {'compliant':<{width}}  held-out [σ²]  difference"]
+        for name, each in zip(names, self.candidates, strict=True):
+            change = "" if each is self.candidates[0] else f"{each.difference:+.4f} ± {each.std:.4f}"
+            lines.append(f"{'*' if each.chosen else ' '} {name:<{width}}  {each.held_out:>13.4f}  {change}")
+        return "\n".join([*lines, RULE])

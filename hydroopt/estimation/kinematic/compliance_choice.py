@@ -1,0 +1,137 @@
+"""Which joints give way under gravity, chosen by how well poses are predicted that took no part in the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.calibrate import optimum, solvable
+from hydroopt.estimation.kinematic.compliance_candidates import CLEAR, ComplianceCandidate, ComplianceChoice
+from hydroopt.estimation.kinematic.observability import linearise
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.estimation.kinematic.residuals import predicted
+from hydroopt.estimation.kinematic.solution import JOINT
+from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
+from hydroopt.logs.poses import Poses
+from hydroopt.machine.links import Link, Note
+from hydroopt.machine.machine import Machine
+from hydroopt.spatial.inertia import Array
+
+FOLDS = 4
+"""Parts of the poses, each of which is predicted from the others."""
+LARGEST_SAG = {"rad": np.radians(0.5), "m": 5e-3}
+"""Standard deviation of a joint's deflection at its largest torque or force, where the file states no compliance."""
+
+def with_compliance(machine: Machine, sigmas: Mapping[str, float]) -> Machine:
+    """The machine in which these joints give way, by compliances with these standard deviations [rad/(N·m), m/N], and
+    no others; a compliance of the file keeps its value."""
+    data = machine.model_dump()
+    notes, units = dict(machine.notes), {link.name: link for link in _moving(machine)}
+    for link in (*data["links"], *(data["calibrator"]["links"] if machine.calibrator else ())):
+        name = link["name"]
+        path = f"{name}.joint.compliance"
+        if name not in sigmas:
+            if name in units:
+                link["joint"]["compliance"] = None
+            notes.pop(path, None)
+        else:
+            link["joint"]["compliance"] = units[name].joint.compliance or 0.0
+            notes[path] = notes.get(path, Note()).model_copy(update={"sigma": sigmas[name], "relative": False})
+    return Machine.model_validate(data | {"notes": notes})
+
+
+def choose_compliance(machine: Machine, poses: Poses) -> ComplianceChoice:
+    """The joints of machine and calibrator whose compliance predicts held-out poses better.
+
+    Args:
+        machine: with masses; joints whose compliance it states are judged like the others.
+        poses: each stage is parted into four; each part is predicted from the other three.
+
+    Raises:
+        ProblemError: gravity loads no joint by the machine file's masses, or there are too few poses.
+
+    >>> from hydroopt import load_machine, pose_problem, solve
+    >>> machine = load_machine("panda_mukca")
+    >>> poses = solve(pose_problem(machine, 20), candidates=50).poses
+    >>> choose_compliance(machine, poses).candidates[0].joints
+    ()
+    """
+    sigmas = dict(_sigmas(calibration_problem(machine, poses)))
+    if not sigmas:
+        raise ProblemError("gravity loads no joint by the masses of the machine file, so that no compliance shows",
+                           where=f"machine '{machine.name}'", remedy="state the bodies of its links")
+    part = np.zeros(len(poses), dtype=int)
+    for stage in np.unique(poses.stage):
+        own = np.flatnonzero(poses.stage == stage)
+        part[own] = np.arange(len(own)) % FOLDS
+    if np.bincount(part, minlength=FOLDS).min() < 1:
+        raise ProblemError(f"{len(poses)} poses are too few to hold a part of them out", where="--compliance",
+                           remedy=f"measure {FOLDS} or more in each stage")
+
+    def errors(joints: Sequence[str]) -> Array:
+        return _held_out(with_compliance(machine, {joint: sigmas[joint] for joint in joints}), poses, part)
+
+    chosen: tuple[str, ...] = ()
+    best = errors(chosen)
+    found = [ComplianceCandidate((), float(np.mean(best)), 0.0, 0.0, chosen=True)]
+    while left := [joint for joint in sigmas if joint not in chosen]:
+        tried = {joint: errors((*chosen, joint)) for joint in left}
+        joint = min(tried, key=lambda name: float(np.mean(tried[name])))
+        change = tried[joint] - best
+        std = float(np.std(change, ddof=1) / np.sqrt(len(change)))
+        better = bool(np.mean(change) < -CLEAR * std)
+        found.append(ComplianceCandidate((*chosen, joint), float(np.mean(tried[joint])), float(np.mean(change)), std,
+                                         chosen=better))
+        if not better:
+            break
+        chosen, best = (*chosen, joint), tried[joint]
+    return ComplianceChoice(tuple(found))
+
+
+def compliant(machine: Machine, poses: Poses, joints: Sequence[str]) -> Machine:
+    """The machine in which these joints give way, and no others.
+
+    Raises:
+        ProblemError: gravity does not load one of them in the poses.
+    """
+    sigmas = dict(_sigmas(calibration_problem(machine, poses)))
+    if unknown := [joint for joint in joints if joint not in sigmas]:
+        raise ProblemError(f"gravity loads no joint '{unknown[0]}' in the poses, by the masses of the machine file",
+                           where="--compliance", remedy=f"use auto, none, or some of {', '.join(sigmas)}" if sigmas else
+                           "state the bodies of its links")
+    return with_compliance(machine, {joint: sigmas[joint] for joint in joints})
+
+
+def _moving(machine: Machine) -> Iterator[Link]:
+    links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
+    yield from (link for link in links if link.joint.moving)
+
+
+def _sigmas(problem: CalibrationProblem) -> Iterator[tuple[str, float]]:
+    """Joints that gravity loads in the poses, and the standard deviations of their compliances."""
+    model, parameters = problem.model, problem.parameters
+    theta = problem.start
+    q = problem.angles(theta, guess_unsensed(problem, theta))
+    torque = np.abs(model.over(model.gravity_torque, theta[: len(model.parameters)], q)[0][:, :, 0])
+    for k, joint in enumerate(model.joints):
+        name, largest = f"{joint}.compliance", float(np.max(torque[:, k], initial=0.0))
+        unit = model.machine.channel_units[f"{joint}.q"]
+        if name in parameters.names:
+            yield joint, float(parameters.scale[parameters.index(name)])
+        elif largest > 1e-6 * float(np.max(torque, initial=0.0)) > 0:
+            yield joint, LARGEST_SAG[unit] / largest
+
+
+def _held_out(machine: Machine, poses: Poses, part: NDArray[np.intp]) -> Array:
+    """Squared error (N,) of each pose, predicted from the other parts, over the number of its independent rows."""
+    found = np.zeros(len(poses))
+    for k in range(FOLDS):
+        aside = part == k
+        problem = solvable(calibration_problem(machine, poses.select(~aside)), JOINT)
+        theta = optimum(problem, JOINT, problem.start).theta
+        rows = linearise(*predicted(problem, theta, poses.select(aside)))
+        found[aside] = rows.pose_square / np.maximum(rows.rank, 1)
+    return found
