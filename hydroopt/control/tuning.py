@@ -51,10 +51,20 @@ class _Loops:
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
         """Responses from positions to speeds of the axes (ω, m), and from forces to speeds of the actuators (ω, a)."""
-        pole = np.exp(-self.period / np.maximum(gains.filter_time, 1e-9))
-        low_pass = (1 - pole) * self.z[:, None] / (self.z[:, None] - pole)
-        integral = self.period / gains.integral_time / (self.z[:, None] - 1)
-        return (-low_pass * gains.position * (1 + integral), -low_pass[:, self.axes.of] * gains.force)
+        m = len(self.axes.names)
+        own = [self.of_axis(gains, k) for k in range(m)]
+        by_force = np.zeros((len(self.z), len(self.axes.of)), dtype=complex)
+        for k, places in enumerate(self.axes.actuators):
+            by_force[:, list(places)] = own[k][1]
+        return np.stack([each[0] for each in own], axis=1), by_force
+
+    def of_axis(self, gains: Gains, k: int) -> tuple[Array, Array]:
+        """The same of one axis: (ω,) from its position, and (ω, g) from the forces of its actuators."""
+        pole = np.exp(-self.period / max(gains.filter_time[k], 1e-9))
+        low_pass = (1 - pole) * self.z / (self.z - pole)
+        integral = self.period / gains.integral_time[k] / (self.z - 1)
+        return (-low_pass * gains.position[k] * (1 + integral),
+                -low_pass[:, None] * gains.force[list(self.axes.actuators[k])])
 
     def cut(self, gains: Gains, k: int) -> _Loop:
         """The loop of one axis, all others closed."""
@@ -140,8 +150,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
         own = list(axes.actuators[k])
         gains.position[k], gains.force[own], gains.filter_time[k] = position, part * full[own], filter_time
         gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
-        by_position, by_force = loops.feedback(gains)
-        return loop.sensitivity(by_position[:, k], by_force[:, own]) <= largest
+        return loop.sensitivity(*loops.of_axis(gains, k)) <= largest
 
     for sweep in range(SWEEPS):
         for k, name in enumerate(axes.names):

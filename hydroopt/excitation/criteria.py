@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.inference.identifiability import (
@@ -147,26 +149,29 @@ def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float,
 
     Args:
         criterion: one of `CRITERIA`.
-        factor: R (r, r).
+        factor: R (r, r), upper triangular.
         focus: (s, r) combinations whose variances count; the condition number takes all.
     """
-    _, s, axes = np.linalg.svd(factor)
     if criterion == "condition":
+        _, s, axes = np.linalg.svd(factor)
         if not s[0] > 0:
             return np.inf, np.zeros_like(factor)
         least = max(s[-1], ROUNDING_TOLERANCE * s[0])
         first, last = axes[0] / s[0], axes[-1] / least
         return float(np.log(s[0] / least)), (np.outer(first, first) - np.outer(last, last)) / 2
-    root = axes.T / s  # covariance = root·rootᵀ
+    root, info = dtrtri(factor)  # covariance = root·rootᵀ
+    if info:
+        return np.inf, np.zeros_like(factor)
     rows = focus @ root @ root.T
+    if criterion == "D":
+        spread = np.linalg.qr((focus @ root).T, mode="r")
+        whitened = solve_triangular(spread, rows, trans="T", check_finite=False)
+        return float(2 * np.mean(np.log(np.abs(np.diag(spread))))), -whitened.T @ whitened / len(focus)
     _, inner, turn = np.linalg.svd((focus @ root).T, full_matrices=False)
     if criterion == "A":
         return float(np.sum(inner**2)), -rows.T @ rows
-    if criterion == "E":
-        worst = turn[0] @ rows / inner[0]
-        return float(2 * np.log(inner[0])), -np.outer(worst, worst)
-    whitened = (turn / inner[:, None]) @ rows
-    return float(2 * np.mean(np.log(inner))), -whitened.T @ whitened / len(focus)
+    worst = turn[0] @ rows / inner[0]
+    return float(2 * np.log(inner[0])), -np.outer(worst, worst)
 
 
 class Information:

@@ -53,7 +53,7 @@ class Limits:
         rows: what is bounded (m,), in the order of the function's output.
         function: casadi.Function (q, qd, qdd) → (m,). It does not contain the bounds, so that machines that differ
             only in bounds share its kernel.
-        derivatives: of it, (m, n) each, by q, qd and qdd.
+        derivatives: of it, (m, 3n), by q, then qd, then qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
         margin: (a,) force [N, N·m] that each actuator keeps in reserve.
@@ -82,8 +82,8 @@ class Limits:
         states, values = model.coordinates, ca.vertcat(*(value for _, value in self._entries))
         self.function = ca.Function("limits", [*states], [values], ["q", "qd", "qdd"], ["value"])
         self.derivatives = ca.Function("limits_derivatives", [*states],
-                                       [ca.densify(ca.jacobian(values, x)) for x in states],
-                                       ["q", "qd", "qdd"], ["by_q", "by_qd", "by_qdd"])
+                                       [ca.densify(ca.jacobian(values, ca.vertcat(*states)))],
+                                       ["q", "qd", "qdd"], ["by_state"])
         self.lower = np.array([row.lower for row in self.rows]) / self.scale
         self.upper = np.array([row.upper for row in self.rows]) / self.scale
 
@@ -94,11 +94,9 @@ class Limits:
         """What is limited (N, m) in states (N, n), divided by the scales."""
         return np.asarray(self.model.over(self.function, q, qd, qdd)[0][:, :, 0] / self.scale)
 
-    def slopes(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (N, m, n) of `values` by q, qd and qdd."""
-        first, second, third = (part / self.scale[:, None]
-                                for part in self.model.over(self.derivatives, q, qd, qdd))
-        return first, second, third
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Derivatives (N, m, 3n), not divided by the scales, of what is limited by q, then qd, then qdd."""
+        return np.asarray(self.model.over(self.derivatives, q, qd, qdd)[0])
 
     def excess(self, values: Array) -> Array:
         """By how much (N, m) values (N, m) exceed their bounds: at most zero if satisfied, infinite if not a number."""

@@ -232,39 +232,49 @@ class ExcitationProblem(Shown):
         """Limited quantities (N, m) at the times of `grid`, divided by their scales."""
         return self.limits.values(*self.states(x, self.grid))
 
-    def slopes(self, x: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (N, m, active) of `constraints` by the positions, speeds and accelerations of moving joints."""
-        first, second, third = (part[:, :, self.active] * self.size
-                                for part in self.limits.slopes(*self.states(x, self.grid)))
-        return first, second, third
+    def slopes(self, x: Array) -> Array:
+        """Derivatives (N, m, 3·active) of `constraints` by the positions of moving joints, then speeds, accelerations.
+        """
+        found = self.limits.slopes(*self.states(x, self.grid))
+        if self.idle:
+            joints = len(self.resting_position)
+            found = found[:, :, [order * joints + k for order in range(3) for k in self.active]]
+        units = np.tile(self.size, 3) / self.limits.scale[:, None]
+        return np.reshape(found.reshape(len(found), -1) * units.ravel(), found.shape)
 
-    def jacobian(self, slopes: tuple[Array, Array, Array], active: NDArray[np.bool_]) -> Array:
+    @cached_property
+    def _functions(self) -> Array:
+        """The functions and their derivatives (N, 3, k) at the times of `grid`."""
+        return np.stack(self.grid, axis=1)
+
+    def jacobian(self, slopes: Array, active: NDArray[np.bool_]) -> Array:
         """Jacobian (k, len(x)) of the constraints in the active set (N, m)."""
         node, row = np.nonzero(active)
-        found = sum(part[node, row][:, None, :] * rows[node][:, :, None]
-                    for part, rows in zip(slopes, self.grid, strict=True))
-        return np.asarray(found).reshape(len(node), len(self.basis.names) * len(self.active))
+        by_order = slopes[node, row].reshape(len(node), 3, len(self.active))
+        return np.asarray((np.swapaxes(self._functions[node], 1, 2) @ by_order).reshape(len(node), self.size_of_x))
 
-    def directional_derivative(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
+    def directional_derivative(self, slopes: Array, step: Array) -> Array:
         """Directional derivative (N, m) of all constraints along a step (len(x),)."""
-        moved = np.reshape(step, (-1, len(self.active)))
-        return np.asarray(sum(np.einsum("tma,ta->tm", part, rows @ moved)
-                              for part, rows in zip(slopes, self.grid, strict=True)))
+        functions = self._functions.reshape(-1, len(self.basis.names))
+        moved = (functions @ np.reshape(step, (-1, len(self.active)))).reshape(len(slopes), -1, 1)
+        return np.asarray((slopes @ moved)[:, :, 0])
 
-    def weighted_gradient(self, slopes: tuple[Array, Array, Array], multipliers: Array) -> Array:
+    def weighted_gradient(self, slopes: Array, multipliers: Array) -> Array:
         """Gradient (len(x),) of the sum of all constraints, weighted by multipliers (N, m)."""
-        return np.asarray(sum(rows.T @ np.einsum("tma,tm->ta", part, multipliers)
-                              for part, rows in zip(slopes, self.grid, strict=True))).ravel()
+        active = multipliers != 0
+        return np.asarray(multipliers[active] @ self.jacobian(slopes, active))
 
     def excess(self, x: Array, rows: Rows) -> float:
         """The largest excess over a limit, as a part of its scale; at most zero if all are satisfied."""
-        return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
+        values = self.limits.values(*self.states(x, rows))
+        # not a number where a value is none
+        return float(np.max(self.limits.excess(np.array([np.min(values, axis=0), np.max(values, axis=0)]))))
 
     @cached_property
     def _moved(self) -> NDArray[np.bool_]:
         """Which limits (m,) the moving joints change."""
         x = self.posture(self.mean) + np.random.default_rng(0).uniform(-0.1, 0.1, self.size_of_x)
-        return np.asarray(np.any([np.any(part != 0, axis=(0, 2)) for part in self.slopes(x)], axis=0))
+        return np.asarray(np.any(self.slopes(x) != 0, axis=(0, 2)))
 
     def bounds(self, back_off: float) -> tuple[Array, Array]:
         """Lower and upper bounds (m,) of `constraints`, tightened by a part of each range where joints change them."""

@@ -80,7 +80,7 @@ def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = F
 
     With `rough` they are checked at the nodes only, and the scale has fewer digits.
     """
-    times = (problem.nodes,) if rough else (problem.fine, problem.grid)
+    times = (problem.nodes,) if rough else (problem.grid, problem.fine)
 
     def feasible(part: float) -> bool:
         scaled = problem.hung(rest + part * (x - rest))
@@ -89,7 +89,7 @@ def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = F
     if all(problem.excess(x, rows) <= 0 for rows in times):
         return x
     low, high = 0.0, 1.0
-    for _ in range(8 if rough else 30):
+    for _ in range(8 if rough else 20):
         middle = (low + high) / 2
         low, high = (middle, high) if feasible(middle) else (low, middle)
     return np.asarray(problem.hung(rest + low * (x - rest)))

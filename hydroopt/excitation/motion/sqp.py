@@ -2,7 +2,8 @@
 
 Every step solves a quadratic program: damped BFGS approximates the Lagrangian's Hessian, and constraints are
 linearised. Of the thousands of limits over time the quadratic program contains an active set only: after each solution
-the limits that the step violates are added. A step therefore takes some ten milliseconds, however fine the time grid.
+the limits that the step violates are added, and those far from it leave. A step therefore takes some ten milliseconds,
+however fine the time grid.
 """
 
 from __future__ import annotations
@@ -31,19 +32,29 @@ CONVERGED = 1e-6
 """Decrease of the criterion below which the search has converged."""
 
 
+class Room(NamedTuple):
+    """Distances (N, m) to the lower and to the upper bound, and the largest violation, as parts of each limit's scale.
+
+    The violation is infinite where a limit is not a number.
+    """
+
+    below: Array
+    above: Array
+    violation: float
+
+    @property
+    def least(self) -> Array:
+        """The distance (N, m) to the nearer bound."""
+        return np.minimum(self.below, self.above)
+
+
 class Point(NamedTuple):
-    """An iterate: variables, criterion, gradient, distances (N, m) to the lower and to the upper bound."""
+    """An iterate: variables, criterion, gradient, and what is left to the limits."""
 
     x: Array
     value: float
     gradient: Array
-    below: Array
-    above: Array
-
-    @property
-    def violation(self) -> float:
-        """The largest violation of a limit, as a part of its scale."""
-        return max(0.0, -float(np.min(self.below)), -float(np.min(self.above)))
+    room: Room
 
 
 class Search(NamedTuple):
@@ -84,11 +95,12 @@ def sequential_quadratic_programming(problem: ExcitationProblem, search: Search,
     """
     if search.ended:
         return search
-    current, hessian, radius, ended = _point(problem, search.x, back_off), search.hessian, search.radius, True
+    hessian, radius, ended = search.hessian, search.radius, True
+    current = Point(search.x, *problem.objective(search.x), _room(problem, search.x, back_off))
     slopes = problem.slopes(search.x)
-    active = _tightest(np.minimum(current.below, current.above), NEAR) if search.active is None else search.active
+    active = _tightest(current.room.least, NEAR) if search.active is None else search.active
     best, value = search.best, search.value
-    if current.violation <= FEASIBLE and current.value < value:
+    if current.room.violation <= FEASIBLE and current.value < value:
         best, value = current.x, current.value
     for tried in range(MAX_STEPS):
         if stopped() or radius < SMALLEST_RADIUS:
@@ -100,12 +112,11 @@ def sequential_quadratic_programming(problem: ExcitationProblem, search: Search,
         if step is None:
             radius *= 0.5
             continue
-        trial = _point(problem, current.x + step, back_off)
+        trial = _trial(problem, current, current.x + step, back_off)
         predicted = -float(current.gradient @ step + step @ hessian @ step / 2)
-        decrease = current.value - trial.value
-        improved = decrease > 1e-4 * predicted if predicted > 0 else trial.violation < current.violation
-        restored = current.violation > ALLOWED and trial.violation < 0.7 * current.violation
-        if not (np.isfinite(trial.value) and ((trial.violation <= ALLOWED and improved) or restored)):
+        decrease = current.value - trial.value if trial else -np.inf
+        if trial is None or not (_restored(current.room, trial.room) or (trial.room.violation <= ALLOWED and (
+                decrease > 1e-4 * predicted if predicted > 0 else trial.room.violation < current.room.violation))):
             radius = 0.5 * min(radius, float(np.max(np.abs(step))))
             continue
         new = problem.slopes(trial.x)
@@ -116,10 +127,10 @@ def sequential_quadratic_programming(problem: ExcitationProblem, search: Search,
             radius = min(max(radius, 3 * float(np.max(np.abs(step)))), LARGEST_RADIUS)
         elif decrease < 0.25 * predicted:
             radius = 0.7 * float(np.max(np.abs(step)))
-        done = abs(decrease) < CONVERGED and predicted < 10 * CONVERGED and trial.violation <= FEASIBLE
-        active = (multipliers != 0) | _tightest(np.minimum(trial.below, trial.above), NEAR)
+        done = abs(decrease) < CONVERGED and predicted < 10 * CONVERGED and trial.room.violation <= FEASIBLE
+        active = (multipliers != 0) | _tightest(trial.room.least, NEAR)
         current, slopes = trial, new
-        if current.violation <= FEASIBLE and current.value < value:
+        if current.room.violation <= FEASIBLE and current.value < value:
             best, value = current.x, current.value
             report(value)
         if done:
@@ -127,22 +138,35 @@ def sequential_quadratic_programming(problem: ExcitationProblem, search: Search,
     return Search(current.x, hessian, radius, active, best, value, ended)
 
 
-def _point(problem: ExcitationProblem, x: Array, back_off: float) -> Point:
-    value, gradient = problem.objective(x)
+def _room(problem: ExcitationProblem, x: Array, back_off: float) -> Room:
     values = problem.constraints(x)
     lower, upper = problem.bounds(back_off)
     below, above = values - lower, upper - values
-    sound = np.isfinite(value) and np.all(np.isfinite(values))
-    return Point(x, value if sound else np.inf, gradient, below, above)
+    violation = -min(float(np.min(below)), float(np.min(above)))
+    return Room(below, above, np.inf if np.isnan(violation) else max(violation, 0.0))
 
 
-def _step(problem: ExcitationProblem, current: Point, slopes: tuple[Array, Array, Array], hessian: Array, radius: float,
+def _restored(before: Room, after: Room) -> bool:
+    """Whether a violation that is too large has become much smaller."""
+    return before.violation > ALLOWED and after.violation < 0.7 * before.violation
+
+
+def _trial(problem: ExcitationProblem, current: Point, x: Array, back_off: float) -> Point | None:
+    """The next iterate; None where its limits or its criterion rule it out."""
+    room = _room(problem, x, back_off)
+    if room.violation > ALLOWED and not _restored(current.room, room):
+        return None
+    value, gradient = problem.objective(x)
+    return Point(x, value, gradient, room) if np.isfinite(value) else None
+
+
+def _step(problem: ExcitationProblem, current: Point, slopes: Array, hessian: Array, radius: float,
           active: NDArray[np.bool_]) -> tuple[Array | None, Array, NDArray[np.bool_]]:
     """The step (k,) that minimises the quadratic model, multipliers (N, m) of the limits, and the active set (N, m)."""
     box = np.maximum(-radius, -WIDEST - current.x), np.minimum(radius, WIDEST - current.x)
-    multipliers = np.zeros(active.shape)
+    multipliers, left = np.zeros(active.shape), np.zeros(active.shape, dtype=bool)
     for relaxed in (False, True):  # a violated limit may not be reachable within the trust region
-        low, high = -current.below, current.above
+        low, high = -current.room.below, current.room.above
         if relaxed:
             low, high = np.minimum(low, 0), np.maximum(high, 0)
         for _ in range(MAX_QPS):
@@ -154,13 +178,17 @@ def _step(problem: ExcitationProblem, current: Point, slopes: tuple[Array, Array
                 break
             step = np.array(solver.result.x)
             change = problem.directional_derivative(slopes, step)
-            broken = _tightest(np.minimum(high - change, change - low), -OVERLOOKED) & ~active
+            distance = np.minimum(high - change, change - low)
+            broken = _tightest(distance, -OVERLOOKED) & ~active
             if not np.any(broken):
                 if np.any(active):
                     multipliers[active] = solver.result.z_u - solver.result.z_l
                 multipliers[np.abs(multipliers) < 1e-9] = 0.0
                 return step, multipliers, active
-            active = active | broken
+            # what is far from its bounds leaves, but once only: sets must not alternate
+            idle = active & ~left & (distance > NEAR)
+            left |= idle
+            active = (active & ~idle) | broken
     return None, multipliers, active
 
 
