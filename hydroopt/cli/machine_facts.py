@@ -10,8 +10,10 @@ import numpy as np
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
 from hydroopt.estimation.motion.expected import DURATION, NAME, expected_calibration
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.cylinder_checks import Span, spans
+from hydroopt.machine.cylinder_checks import Span, over_range, spans
+from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -31,7 +33,7 @@ def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[st
     """
     model = Model(machine)
     found = identifiability.structural(model)
-    cylinders = [_cylinder_facts(model, k) for k in range(len(machine.cylinders))]
+    cylinders = [_cylinder_facts(machine, each) for each in machine.cylinders]
     parameters = [row | {"identifiability": category}
                   for row, category in zip(_parameter_facts(model.parameters), found.category, strict=True)]
     sensors = [{"channel": channel, "unit": machine.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
@@ -78,7 +80,9 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
     unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
     drivers = ", ".join(each.name if each.measured else f"{each.name} (not measured)"
                         for each in machine.drivers[name]) or "passive"
-    if together := _together(machine, name):
+    if name in machine.base_joints:
+        drivers = "the ground"
+    elif together := _together(machine, name):
         drivers = f"{together} together"
     return {"joint": name, "type": joint.type, "actuator": drivers, "unit": unit,
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
@@ -99,7 +103,8 @@ def _coupling_facts(machine: Machine, coupling: Coupling) -> dict[str, Any]:
     units = machine.coupling_units(coupling)
     terms = [f"{ratio:.6g}{'' if (unit := units[f'ratio.{joint}']) == '1' else f' {unit}'} * {joint}"
              for joint, ratio in coupling.ratios.items()]
-    offset = [f"{coupling.offset:.6g} {units['offset']}"] * (coupling.offset != 0)
+    offset = [f"{coupling.offset:.6g} {units['offset']}" if units["offset"] != "rad"
+              else f"{math.degrees(coupling.offset):.6g} deg"] * (coupling.offset != 0)
     return {"coupling": coupling.name, "relation": f"{coupling.joint} = {' + '.join((*terms, *offset))}"}
 
 
@@ -114,15 +119,10 @@ def _span_facts(span: Span) -> dict[str, Any]:
             "margin_deg": round(math.degrees(span.angle), 2), "margin_at": span.at}
 
 
-def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
-    """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
-    machine = model.machine
-    cylinder = machine.cylinders[k]
+def _cylinder_facts(machine: Machine, cylinder: Cylinder) -> dict[str, Any]:
+    """Areas, and length and lever arm over the ranges of all joints that move its pins."""
     joint = machine.main_joint(cylinder)
-    q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (181, 1))
-    q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
-    length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
-    lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
+    lengths, arms, _ = over_range(Geometry(machine), cylinder)
     head, rod = cylinder.areas
     moves = f"{joint} and others" if _together(machine, joint) else joint
     return {"cylinder": cylinder.name, "joint": moves, "head_area_cm2": round(1e4 * head, 3),

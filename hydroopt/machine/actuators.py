@@ -198,7 +198,7 @@ class Motor(Noun):
     joint: str
     """Joint that it turns."""
     torque_per_pressure: TorquePerPressure = Field(gt=0)
-    """Torque per pressure, which is its displacement per radian: "23.9 cm^3" for 150 cm³ a turn, or "150 cm^3/rev"."""
+    """Torque per pressure, which is its displacement: "150 cm^3/rev", or "23.9 cm^3/rad"."""
     gear: Number = Field(1.0, gt=0)
     """Turns of the motor per turn of the joint."""
     measured: bool = True

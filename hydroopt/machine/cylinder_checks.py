@@ -10,7 +10,7 @@ import numpy as np
 
 from hydroopt.machine import stroke_checks
 from hydroopt.machine.actuators import Cylinder, GasCylinder
-from hydroopt.machine.closures import closures
+from hydroopt.machine.closures import DyadClosure, closures
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import FLAT
 from hydroopt.machine.machine import Machine
@@ -24,6 +24,8 @@ from hydroopt.spatial.inertia import Array
 
 FEW = 3
 """Up to how many joints are checked on a grid."""
+WIDE = np.radians(120)
+"""Range of a joint beyond which a cylinder pinned to the link itself is rare: a rocker and a coupler stand between."""
 DRAWN = 12
 """Logarithm to the base 2 of the number of samples of more joints."""
 
@@ -51,9 +53,10 @@ def check(machine: Machine) -> None:
             short.append(_check_on_grid(geometry, cylinder, alone=alone))
             continue
         joint, sides = found
+        hint = _rocker_hint(machine, joint)
         if alone:
-            _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
-        short.append(stroke_checks.by_triangle(cylinder, joint, sides, *machine.link(joint).joint.range))
+            _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), machine.link(joint).joint.range, hint)
+        short.append(stroke_checks.by_triangle(cylinder, joint, sides, machine.link(joint).joint.range, hint))
     stroke_checks.refuse([one for one in short if one])
     for joint, several in drivers.items():
         cylinders = [each for each in several if isinstance(each, Cylinder) and machine.moved_by(each) == (joint,)]
@@ -105,7 +108,8 @@ def spans(machine: Machine) -> tuple[Span, ...]:
         size = len(joints)
         values = np.asarray(ca.Function("arms", [q], [arms]).map(states.shape[1])(states))
         turned = values.reshape(len(cylinders), -1, size).transpose(1, 0, 2)
-        turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        norms = np.linalg.norm(turned, axis=1, keepdims=True)
+        turned = turned / np.where(norms > 0, norms, 1.0)  # none of the lengths feels a joint with a column of zeros
         if len(cylinders) > size:  # the triangle of the same lengths and angles, whose corner keeps its sign
             corner = np.asarray(np.linalg.qr(turned, mode="r"))
             turned = corner * np.sign(np.diagonal(corner, axis1=1, axis2=2))[:, :, None]
@@ -139,22 +143,37 @@ def _samples(machine: Machine, joints: Sequence[str]) -> Array:
     return np.asarray(ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * u)
 
 
-class _Grid(NamedTuple):
-    """Lengths [m] and lever arms on the last joint (N,) of a cylinder over its joints; `place` words a sample's."""
+class OverRange(NamedTuple):
+    """A cylinder over the whole range of all joints that move its pins.
+
+    Attributes:
+        lengths: distance (N,) of its pins [m].
+        arms: lever arm (N,) on the joint that it is there to move, of a spring on the last one.
+        place: words where a sample is.
+    """
 
     lengths: Array
     arms: Array
     place: Callable[[int], str]
 
 
-def _on_grid(geometry: Geometry, cylinder: Pinned) -> _Grid:
+def over_range(geometry: Geometry, part: Pinned) -> OverRange:
+    """Lengths and lever arms of a cylinder or spring over the range of its joints.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> machine = load_machine("wheel_loader")
+    >>> print(f"{over_range(Geometry(machine), machine.cylinders[1]).lengths.max():.2f} m")
+    1.59 m
+    """
     machine = geometry.machine
-    q, states, place = _range_of(machine, machine.moved_by(cylinder))
-    length = _length(geometry, cylinder, Mechanism(machine).positions(geometry, q))
+    joints = machine.moved_by(part)
+    q, states, place = _range_of(machine, joints)
+    length = _length(geometry, part, Mechanism(machine).positions(geometry, q))
     symbols = ca.vertcat(*q.values())
-    function = ca.Function("length", [symbols], [length, ca.jacobian(length, symbols)[-1]])
+    moved = joints.index(machine.main_joint(part)) if isinstance(part, Cylinder) else -1
+    function = ca.Function("length", [symbols], [length, ca.jacobian(length, symbols)[moved]])
     lengths, arms = (np.asarray(values).ravel() for values in function(states))
-    return _Grid(lengths, arms, place)
+    return OverRange(lengths, arms, place)
 
 
 def _range_of(machine: Machine, joints: Sequence[str]) -> tuple[dict[str, ca.SX], Array, Callable[[int], str]]:
@@ -171,7 +190,7 @@ def _range_of(machine: Machine, joints: Sequence[str]) -> tuple[dict[str, ca.SX]
 
 def _apart(geometry: Geometry, part: GasCylinder | Spring) -> tuple[Array, Callable[[int], str]]:
     """Lengths [m] of a part over its joints, and the place of each; refuses one whose pins meet."""
-    lengths, _, place = _on_grid(geometry, part)
+    lengths, _, place = over_range(geometry, part)
     if (closed := np.flatnonzero(lengths < 1e-9)).size:
         raise ImpossibleError(f"the pins of '{part.name}' meet at {place(int(closed[0]))}, where its force has no "
                               "direction", "correct its pins or narrow the joints' limits")
@@ -190,7 +209,7 @@ def _gas_has_room(geometry: Geometry, gas: GasCylinder) -> None:
 
 def _not_dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylinder]) -> None:
     """Refuse a posture in which none of the cylinders of a joint has a lever arm, or all of them change its sign."""
-    grids = [_on_grid(geometry, each) for each in cylinders]
+    grids = [over_range(geometry, each) for each in cylinders]
     signs = np.sign([each.arms for each in grids])
     dead = np.flatnonzero(np.all(signs[:, 1:] * signs[:, :-1] <= 0, axis=0))
     if dead.size:
@@ -202,7 +221,7 @@ def _not_dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylind
 
 def _check_on_grid(geometry: Geometry, cylinder: Cylinder, *, alone: bool) -> ShortStroke | None:
     """What its stroke lacks; refuses a dead point."""
-    lengths, arms, place = _on_grid(geometry, cylinder)
+    lengths, arms, place = over_range(geometry, cylinder)
     if (short := stroke_checks.by_samples(cylinder.name, lengths, place, stroke_checks.possible(cylinder))):
         return short
     turned = np.flatnonzero(arms * arms[0] <= 0)
@@ -226,12 +245,24 @@ def _slides(geometry: Geometry) -> Iterator[ShortStroke | None]:
             yield stroke_checks.by_samples(joint, lengths, place, machine.link(joint).joint.range)
 
 
-def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
+def _rocker_hint(machine: Machine, joint: str) -> str:
+    """What else may be wrong of a cylinder that is pinned to a link itself: a rocker and a coupler stand between."""
+    for closure in closures(machine.links, machine.loops, machine.couplings):
+        if isinstance(closure, DyadClosure) and closure.follows[-1] == joint:
+            return f"; or pin it to '{closure.first}' of the linkage '{closure.loop.name}'"
+    lower, upper = machine.link(joint).joint.range
+    return "; or state a rocker between rod and link by [[linkages]]" if upper - lower > WIDE else ""
+
+
+def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, limits: tuple[float, float],
+                          hint: str) -> None:
     # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
     # gas cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
+    lower, upper = limits
     first = np.ceil((lower + offset) / np.pi)
     dead = first * np.pi - offset
     if dead <= upper:
         raise ImpossibleError(
             f"'{cylinder.name}' has a dead point at {joint} = {np.degrees(dead):.2f} deg, inside the joint's range "
-            f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg", "correct its pins or narrow the joint's limits")
+            f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg",
+            f"correct its pins or narrow the joint's limits{hint}")

@@ -61,7 +61,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         Which place of the machine stands where in the file.
 
     Raises:
-        MachineError: a key is unknown or missing, or there is no such link.
+        MachineError: a key is unknown or missing, there is no such link, or a name is taken.
     """
     moved: dict[str, str] = {}
     links: list[Any] = stated if isinstance(stated := data.get("links"), list) else []
@@ -79,6 +79,9 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
             bar = linkage[role]
             refuse_keys(bar, Bar, f"{at}.{role}")
             name = bar.get("name", role)
+            if any(isinstance(link, dict) and link.get("name") == name for link in links):
+                raise MachineError(f"the name '{name}' is taken", where=f"{at}.{role}",
+                                   remedy=f'give it a name of its own: name = "{linkage["name"]}_{role}"')
             joint = {"type": "revolute", "dependent": True, "a": bar["length"]}
             joint |= {key: bar[key] for key in ("friction",) if key in bar}
             made.append({"name": name, "parent": names[0] if names else links[there].get("parent"), "joint": joint}

@@ -127,7 +127,8 @@ def _planar(geometry: Geometry, loop: Loop, *, alike: bool) -> None:
         elif abs((axis[2] if alike else abs(axis[2])) - 1) > PLANAR:
             raise ImpossibleError(f"the axes of '{first}' and '{joint}' in the loop '{loop.name}' do not point the "
                                   "same way, but a pin closes planar loops only",
-                                  "make them parallel and let both turn to the same side", where)
+                                  "make them parallel, to the same side; behind a link with an alpha or beta a locked "
+                                  "link carries the pins", where)
     own, target = geometry.loop_ends(loop)
     ends = [geometry.from_seat(first, link, {}).point(end) for link, end in ((loop.link, own), (loop.to.link, target))]
     aside = float(ends[1][2] - ends[0][2])

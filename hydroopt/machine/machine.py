@@ -197,6 +197,15 @@ class Machine(Drawn, MachineDescription):
             raise ImpossibleError("no equation of motion contains a measured force",
                                   "measure at least one joint's actuators: all of them that move it")
 
+    def _enough(self, across: str | None) -> None:
+        """Refuse fewer actuators than joints that only they move together, as those of a platform."""
+        moved = next((self.moved_by(each) for each in self.actuators if each.name == across), ())
+        together = [each.name for each in self.actuators if self.moved_by(each) == moved]
+        if 1 < len(together) < len(moved):
+            raise ImpossibleError(f"{len(together)} actuators, {together[0]} to {together[-1]}, cannot move the "
+                                  f"{len(moved)} joints {', '.join(moved)}",
+                                  "add actuators, or state fewer joints, such as coordinates of a free link")
+
     def _driven(self, joint: str, drivers: tuple[Actuator, ...], across: str | None) -> None:
         if self.link(joint).joint.passive:
             if drivers:
@@ -204,6 +213,7 @@ class Machine(Drawn, MachineDescription):
                                       "remove 'passive', or the actuator", f"links[{joint}].joint.passive")
             return
         if not drivers:
+            self._enough(across)
             only = f"; '{across}' crosses it, but drives another joint" if across else ""
             raise ImpossibleError(f"nothing drives the joint '{joint}'{only}",
                                   "add its actuator, with measured = false if no log holds its force; make the joint "

@@ -16,12 +16,8 @@ ROUNDING = 1e-9
 """Length [m] that a stroke may lack."""
 
 
-MOST = 3
-"""How many a sentence names."""
-WIDE = np.radians(120)
-"""Range of a joint beyond which a cylinder pinned to the link itself is rare: a rocker and a coupler stand between."""
-
-
+ROOM = 195
+"""Characters of a sentence for cylinders that it names; those beyond are counted."""
 class ShortStroke(NamedTuple):
     """A cylinder, or a joint that follows others, and what it cannot do.
 
@@ -42,15 +38,15 @@ class ShortStroke(NamedTuple):
     hint: str = ""
 
     @property
-    def lacks(self) -> str:
-        """At which ends it does not do, and by how much."""
-        long, short = self.possible[0] - self.needed[0], self.needed[1] - self.possible[1]
-        return " and ".join(f"{1e3 * by:.0f} mm too {said}" for by, said in
-                            ((long, "long retracted"), (short, "short extended")) if by > ROUNDING)
+    def said(self) -> str:
+        """What it needs and what it can do."""
+        needed, possible = (f"{least:.3f} to {most:.3f} m" for least, most in (self.needed, self.possible))
+        return f"'{self.name}' needs {needed}, not {possible}"
 
 
-def by_triangle(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, upper: float) -> ShortStroke | None:
-    """What a cylinder on one revolute joint lacks, exactly.
+def by_triangle(cylinder: Cylinder, joint: str, sides: Triangle, limits: tuple[float, float],
+                hint: str) -> ShortStroke | None:
+    """What a cylinder on one revolute joint lacks, exactly; `hint` says what else may be wrong.
 
     Raises:
         ImpossibleError: it fits at no position of the joint.
@@ -58,7 +54,7 @@ def by_triangle(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, u
     fixed, moving, offset, lateral = (float(v) for v in sides)
     shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
     retracted, extended = possible(cylinder)
-    hint = "; or state a rocker between rod and link by [[linkages]]" if upper - lower > WIDE else ""
+    lower, upper = limits
     # in between, a length is longest or shortest at the dead points
     first = np.ceil((lower + offset) / np.pi)
     angles = np.array([lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset)])
@@ -104,7 +100,8 @@ def refuse(short: Sequence[ShortStroke]) -> None:
             f"{one.possible[1]:.3f} m",
             f"correct dead length and stroke (the whole range takes {one.needed[0]:.3f} to {one.needed[1]:.3f} m), "
             f"pins or the joints' limits{one.hint}")
-    each = [f"'{one.name}' is {one.lacks} for {one.needed[0]:.3f} to {one.needed[1]:.3f} m" for one in short]
-    more = f" and {len(each) - MOST} more" if len(each) > MOST else ""
-    raise ImpossibleError(f"strokes do not cover the joints' ranges: {', '.join(each[:MOST])}{more}",
+    each = [one.said for one in short]
+    named = [text for k, text in enumerate(each) if k == 0 or len(", ".join(each[:k + 1])) <= ROOM]
+    more = f" and {len(each) - len(named)} more" if len(each) > len(named) else ""
+    raise ImpossibleError(f"strokes do not cover the joints' ranges: {', '.join(named)}{more}",
                           "correct lengths, strokes, pins or limits")

@@ -1,5 +1,6 @@
 """The command as a user runs it, on the real data that ships."""
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -11,6 +12,9 @@ from typer.testing import CliRunner
 import hydroopt
 from fixtures.tiers import tiered
 from hydroopt.cli import app
+from hydroopt.cli.machine_facts import machine_facts
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.results.wording import Kind
 
 ROOT = Path(__file__).parents[2]
@@ -112,19 +116,18 @@ def test_simulate_samples_at_the_stated_rate(tmp_path: Path) -> None:
     assert [log.t.size for log in logs] == [500, 100]
 
 
-def test_show_holds_other_joints_at_the_middle_of_their_range() -> None:
-    from fixtures.tree import TREE
-    from hydroopt.cli.machine_facts import _cylinder_facts
-    from hydroopt.machine.machine import Machine
-    from hydroopt.model.model import Model
-    across = {**TREE["cylinders"][0], "barrel": {"link": "trunk", "pin": (0.3, 0.4, 0.0)}}
-    limits = [{**link, "joint": {**link["joint"], "a": 1.0, "theta": 0.3}} for link in TREE["links"]]
-    model = Model(Machine.model_validate(TREE | {"links": limits, "cylinders": [across, TREE["cylinders"][1]]}))
-    q = [sum(model.machine.link(name).joint.range) / 2 for name in model.machine.joints]
-    facts = _cylinder_facts(model, 0)
-    q[3] = 0.2
-    ends = float(model.cylinder_kinematics(q, [0] * 4, [0] * 4)[0][0])
-    assert round(ends, 4) in (facts["length_min_m"], facts["length_max_m"])
+def test_show_takes_the_ranges_of_all_joints_that_a_cylinder_crosses() -> None:
+    """Dead length and stroke that cover the lengths of `show` are accepted, by the ends of two joints alone."""
+    machine = load_machine("wheel_loader")
+    tilt = next(each for each in machine_facts(machine)["cylinders"] if each["cylinder"] == "tilt_cylinder")
+    model = Model(machine)
+    ends = list(itertools.product(*(machine.link(joint).joint.range for joint in machine.joints)))
+    lengths = [float(model.cylinder_kinematics(q, [0, 0], [0, 0])[0][1]) for q in ends]
+    assert tilt["length_min_m"] <= min(lengths) + 1e-4 < max(lengths) - 1e-4 <= tilt["length_max_m"]
+    middle = np.mean(machine.link("lift").joint.range)
+    held = [float(model.cylinder_kinematics((middle, q), [0, 0], [0, 0])[0][1])
+            for q in machine.link("bucket").joint.range]
+    assert np.ptp(lengths) > 1.2 * np.ptp(held)
 
 
 def test_relief_pressures_are_the_ends_of_the_pressure_sensors(tmp_path: Path) -> None:

@@ -142,6 +142,8 @@ def test_the_margin_to_dead_points_has_its_posture():
     "wrong unit": (digger('length = "0.9 m"', 'length = "0.9 kg"'), r"linkages\[four_bar\]\.rocker\.length", "kg"),
     "not parallel": (digger('a = "3 m",', 'a = "3 m", alpha = "5 deg",'), r"linkages\[four_bar\]",
                      "axes of 'rocker' and 'bucket' in the loop 'four_bar' do not point the same way"),
+    "two of a name": (LINKS + LINKAGE + LINKAGE.replace("four_bar", "second") + ACTUATORS,
+                      r"linkages\[second\]\.rocker", "the name 'rocker' is taken"),
     "apart along the axes": (digger('"0.15 m", "0 m"]', '"0.15 m", "0.01 m"]'), r"linkages\[four_bar\]",
                              "10 mm apart along its axes"),
     "limits": (LINKS + digger("dependent = true, a = \"0.9 m\"", "dependent = true, a = \"0.9 m\", lower = \"0 deg\"",
@@ -169,6 +171,13 @@ def test_what_cannot_be_is_refused_with_its_place(text, where, what):
     assert caught.value.remedy
     assert re.search(where, caught.value.where), caught.value
     assert re.search(what, caught.value.what), caught.value
+
+
+def test_a_cylinder_pinned_past_its_linkage_is_sent_to_the_rocker():
+    past = digger('rod = { link = "rocker", pin = ["0.9 m"', 'rod = { link = "bucket", pin = ["0.3 m"')
+    with pytest.raises(MachineError) as caught:
+        read_machine(past)
+    assert caught.value.remedy.endswith("or pin it to 'rocker' of the linkage 'four_bar'")
 
 
 @pytest.mark.slow

@@ -112,9 +112,10 @@ def test_strokes_that_are_too_short_are_all_named_at_once() -> None:
     with pytest.raises(MachineError) as refusal:
         read_machine(short)
     said = str(refusal.value)
-    assert f"'compensator_length' is {1e3 * (0.75 - min(needed)):.0f} mm too long retracted" in said
-    assert f"'leveller_length' is {1e3 * (1.2 - OIL + max(needed)):.0f} mm too long retracted" in said
-    assert "'boom_cylinder' is 208 mm too short extended" in said
+    assert f"'compensator_length' needs {min(needed):.3f} to {max(needed):.3f} m, not 0.750 to 1.070 m" in said
+    assert f"'leveller_length' needs {OIL - max(needed):.3f} to {OIL - min(needed):.3f} m, not 1.200 to" in said
+    lifted = [np.linalg.norm(turned(angle, np.array([1.6, -0.1])) - np.array([0.55, -0.9])) for angle in boom]
+    assert f"'boom_cylinder' needs {min(lifted):.3f} to {max(lifted):.3f} m, not 1.210 to 2.110 m" in said
 
 
 def test_half_a_stroke_is_refused() -> None:

@@ -30,7 +30,7 @@ stroke = "STROKE m"
 barrel = { link = "base", pin = ["-1.5 m", "0.4 m", "0 m"] }
 rod = { link = "bucket", pin = ["0 m", "0.35 m", "0 m"] }
 """
-NEEDED = r"(?:takes|for) (\d\.\d{3}) to (\d\.\d{3}) m"
+NEEDED = r"(?:takes|needs) (\d\.\d{3}) to (\d\.\d{3}) m"
 
 
 def bucket(low: float, dead: float, stroke: float) -> str:
