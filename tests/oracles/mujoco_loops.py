@@ -113,10 +113,10 @@ class MujocoLoops:
 
     def _turning(self, cylinder: Cylinder) -> mujoco.MjsBody:
         # the barrel turns about an axis parallel to that of the next joint towards the rod
-        after = next(name for name in self.machine.ancestry(cylinder.rod.link)
-                     if self.machine.link(name).parent == cylinder.barrel.link)
-        turn = self._seat(self.machine.link(after))[1]
-        if self.machine.link(after).joint.type == "prismatic":  # then about the x axis of the joint's frame
+        after = next((name for name in self.machine.ancestry(cylinder.rod.link)
+                      if self.machine.link(name).parent == cylinder.barrel.link), None)
+        turn = self._seat(self.machine.link(after))[1] if after else Rotation.identity()  # between branches: of a plane
+        if after and self.machine.link(after).joint.type == "prismatic":  # then about the x axis of the joint's frame
             turn *= (Rotation.from_euler("z", self.machine.link(after).joint.theta)
                      * Rotation.from_matrix([[0, 0, 1], [0, -1, 0], [1, 0, 0]]))
         barrel = self.bodies[cylinder.barrel.link].add_body(name=f"{cylinder.name}.barrel", pos=cylinder.barrel.pin,

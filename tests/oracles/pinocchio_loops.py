@@ -68,13 +68,13 @@ class PinocchioLoops:
 
     def _cylinder(self, cylinder: Cylinder) -> None:
         # the barrel turns about an axis parallel to that of the next joint towards the rod
-        after = next(link for link in map(self.machine.link, self.machine.ancestry(cylinder.rod.link))
-                     if link.parent == cylinder.barrel.link)
+        after = next((link for link in map(self.machine.link, self.machine.ancestry(cylinder.rod.link))
+                      if link.parent == cylinder.barrel.link), None)  # none between branches that move in one plane
         joint, place = self._at(cylinder.barrel.link, cylinder.barrel.pin)
-        if after.pin is None and after.parent != BASE:
+        if after and after.pin is None and after.parent != BASE:
             before = self.machine.link(after.parent).joint
             place = place * _turn(before.alpha, 0) * _turn(before.beta, 1)
-        if after.joint.type == "prismatic":  # its axis is then the x axis of the joint's frame
+        if after and after.joint.type == "prismatic":  # its axis is then the x axis of the joint's frame
             place = place * _turn(after.joint.theta, 2) * _turn(np.pi, 2) * _turn(-np.pi / 2, 1)
         for end, kind in (("barrel", pin.JointModelRZ()), ("rod", pin.JointModelPX())):
             name = f"{cylinder.name}.{end}"

@@ -55,7 +55,8 @@ def trial(machine: Machine, seed: int, count: int) -> Trial:
     return Trial(subject, psi, clouds, state, lagrange, [lagrange.solve(*row) for row in zip(*state, strict=True)])
 
 
-FIXTURES = {"telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor, "six bars": six_bar,
+FIXTURES = {"telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor,
+            "pushed from rod to rod": lambda: scissor(("right", (0.3, 0.1, 0.0))), "six bars": six_bar,
             "steering": steering, "spherical": spherical, "Z-bar": z_bar, "eight legs": eight_legs}
 
 
