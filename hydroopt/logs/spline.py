@@ -31,6 +31,7 @@ DECAY = 30.0
 SHARP = 4
 """Smoothings of a motion whose bandwidth is stated."""
 _DEGREE, _PENALISED, _PROBES = 5, 3, 8
+_FREQUENCIES = 4096
 _LOWEST, _HIGHEST = -4.0, 8.0  # log10 λ in knot units; beyond the highest the knots are made wider
 _ORDER = _DEGREE + 1
 
@@ -224,6 +225,22 @@ def wider(passes: int) -> float:
     """The frequency that `passes` smoothings pass by half, over that of one: 1 − (1 − H)ᵏ = ½."""
     left = 0.5 ** (1 / passes)
     return float((left / (1 - left)) ** (1 / 6))
+
+
+def passed_noise(bandwidth: float, passes: int, step: float) -> Array:
+    """Covariance (3, 3) of a smoothed course and its first two derivatives, of white noise of variance 1.
+
+    Far from the ends; by the frequencies that the filter passes.
+
+    Args:
+        bandwidth: the frequency [Hz] passed by half.
+        passes: number of smoothings.
+        step: [s] between samples.
+    """
+    f = (np.arange(_FREQUENCIES) + 0.5) / (2 * step * _FREQUENCIES)
+    gain = 1 - (1 - 1 / (1 + (f * wider(passes) / bandwidth) ** 6)) ** passes
+    still, speed, acceleration = (float(np.mean((gain * (2 * np.pi * f) ** order) ** 2)) for order in range(3))
+    return np.array([[still, 0, -speed], [0, speed, 0], [-speed, 0, acceleration]])
 
 
 def _derived(order: int) -> Array:

@@ -7,6 +7,7 @@ actuator is there to move. Every other joint keeps its equation: a balance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -54,3 +55,8 @@ def balance(joint: str, actuators: tuple[Actuator, ...], *, prismatic: bool) -> 
         return None
     force = prismatic or (len(actuators) == 1 and isinstance(actuators[0], Cylinder))
     return Balance(joint, actuators, "N" if force else "N*m")
+
+
+def undriven(balances: Sequence[Balance]) -> tuple[int, ...]:
+    """Which are those of passive joints, where no force is measured."""
+    return tuple(k for k, each in enumerate(balances) if not each.actuators)

@@ -29,6 +29,8 @@ USED = 0.9
 PASSES, SETTLED = 200, 1e-3
 """How often the pressures on seals are found again, until they change by less [Pa]."""
 
+ROUNDS = 10
+"""Times that a body is drawn anew where none of the draws is possible."""
 BACK_PRESSURE = 5e5
 """Pressure [Pa] in the chamber that a simulated actuator does not push with."""
 
@@ -150,10 +152,13 @@ def random_truth(model: Model | GivenMachine, seed: int, *, tries: int = 20000) 
         root = np.linalg.cholesky(np.linalg.inv(information))
         centre = np.linalg.solve(information, sum(
             parameters.information[each, each] @ parameters.nominal[each] for each in blocks))
-        draws = centre + rng.standard_normal((tries if body else 200, len(root))) @ root.T
-        good = draws[np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)]
-        first = next((draw for draw in good if not body or inertia.smallest_eigenvalue(draw) > 0), None)
-        if first is None:
+        for _ in range(ROUNDS):
+            draws = centre + rng.standard_normal((tries if body else 200, len(root))) @ root.T
+            good = draws[np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)]
+            first = next((draw for draw in good if not body or inertia.smallest_eigenvalue(draw) > 0), None)
+            if first is not None:
+                break
+        else:
             raise IdentifiabilityError(f"no possible body within the confidences of '{parameters.names[block.start]}'",
                                        where=model.machine.name, remedy="correct its inertia or widen its sigma")
         for each in blocks:

@@ -24,6 +24,7 @@ from hydroopt.estimation.dynamic.friction_sign import (
 )
 from hydroopt.estimation.dynamic.holds import Hold
 from hydroopt.estimation.dynamic.lagging_forces import added_by_lags, known_in_spite_of
+from hydroopt.estimation.dynamic.regressor_noise import STRIDE, angle_errors, regressor_noise
 from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.sensed import calls_for_fit, sensed
@@ -35,6 +36,7 @@ from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_ang
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
+from hydroopt.machine.balances import undriven
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -226,6 +228,8 @@ class Experiment:
                     for i, (basis, extra) in enumerate(zip(bands.bases, bands.contrast, strict=True))]
         t = self.motion.t[block]
         step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        if bands.noisy.size:
+            bands.noise += self._noise(block, step, bands.noisy, psi)
         if self.calm is not None:
             held = self.inside[block, None] & self.calm[block]
             edges = [np.flatnonzero(np.diff(column, prepend=False, append=False)).tolist() for column in held.T]
@@ -240,6 +244,20 @@ class Experiment:
                                                    for x in (self.log.sample, self.motion.t))
                 bands.holds.append(i, Hold(begun, ended, begin, finish, end - first, total, lever * dry), step)
         bands.fold(rows, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
+
+    def _noise(self, block: slice, step: float, free: NDArray[np.intp], psi: Array | None) -> Array:
+        """What noise of the angles is expected to add to KᵀK (f, p, p) of the balances `free` in a block."""
+        rows = block.start + np.flatnonzero(self.log.sample[block] % STRIDE == 0)
+        motion = self.motion
+
+        def equations(q: Array, qd: Array, qdd: Array) -> Array:
+            state = replace(self, motion=replace(motion, q=q, qd=qd, qdd=qdd), force=self.force[rows], added=None,
+                            pressure=None if self.pressure is None else self.pressure[rows])
+            return state.equations(psi)[0][0]
+
+        errors = angle_errors(angle_noise(self.model, self.log), motion.bandwidth, motion.passes, step)
+        return regressor_noise(equations, (motion.q[rows], motion.qd[rows], motion.qdd[rows]), errors,
+                               self.inside[rows, None] & self.known[rows], free)
 
     def _levers(self, origin: int, spans: Sequence[tuple[int, int, int]], psi: Array | None) -> Array:
         """Sizes (h, p) of an actuator's columns just before its joint moves that rests in the spans (actuator, first
@@ -259,7 +277,7 @@ class Experiment:
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""
         bases, middle = [ColumnBasis.whole(np.flatnonzero(row)) for row in self.pattern], float(np.mean(self.log.rows))
-        bands = ActuatorBands(self.model.parameters, bases)
+        bands = ActuatorBands(self.model.parameters, bases, undriven(self.model.machine.balances))
         for block in self.blocks(self.log.rows[0], (0, len(self.force))):
             self.fold_block(bands, block, middle, psi)
         return bands

@@ -35,9 +35,11 @@ class ActuatorBands:
         counts: (n, B) residuals of each actuator in each band.
         samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
         holds: equations of joints at rest, which these rows do not contain.
+        noise: (f, p, p) expected part of K_iᵀK_i that is noise of K_i, of the actuators `noisy` (f,).
     """
 
-    def __init__(self, parameters: ParameterSet, bases: Sequence[ColumnBasis]) -> None:
+    def __init__(self, parameters: ParameterSet, bases: Sequence[ColumnBasis],
+                 noisy: Sequence[int] = ()) -> None:
         n, p = len(bases), len(parameters)
         varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in parameters.kinds])
         self.bases = bases
@@ -48,6 +50,7 @@ class ActuatorBands:
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))
         self.holds = Holds([basis.own for basis in bases])
+        self.noisy, self.noise = np.array(noisy, dtype=np.intp), np.zeros((len(noisy), p, p))
 
     def columns(self, actuator: int) -> NDArray[np.intp]:
         """Those of K_i in the rows [K_i, C_i, f_i] of an actuator."""
@@ -106,6 +109,7 @@ class ActuatorBands:
         self.samples += other.samples
         self.sums += other.sums
         self.holds.add(other.holds, step)
+        self.noise += other.noise
 
     def copy(self) -> ActuatorBands:
         """The same, to which others can be added."""
@@ -119,6 +123,7 @@ class ActuatorBands:
                      for blocks, here in zip(self.rows, actuators, strict=True)]
         part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
         part.sums, part.holds = self.sums * actuators[:, None], self.holds.copy()
+        part.noisy, part.noise = self.noisy, self.noise * actuators[self.noisy, None, None]
         return part
 
     def channels(self, *, contrasts: bool = False) -> tuple[Channel, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -107,7 +107,7 @@ def _together(logs: Sequence[ActuatorBands]) -> ActuatorBands:
 
 
 def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array,
-                     holds: Sequence[HoldEquations]) -> ScoreCovariance:
+                     holds: Sequence[HoldEquations], psi: Array) -> ScoreCovariance:
     """The information of each actuator about ψ by the covariance of its score.
 
     Args:
@@ -116,6 +116,7 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
         sigma: (n,) standard deviation of each actuator's residual.
         least: (n,) standard deviation below which no frequency's is.
         holds: equations of each actuator at rest.
+        psi: (p,) parameters by least squares.
     """
     scale, prior = problem.parameters.scale, problem.prior_rows
     together = _together(logs)
@@ -129,14 +130,29 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
     if len(logs) > 1:
         between_logs, shared = _between(logs, channels, spectra, problem.parameters, prior)
     means = [one.mean(float(spectrum.variance[0])) for one, spectrum in zip(holds, between_holds, strict=True)]
+    noise = dict(_noise(together, channels, spectra, psi))
     rows = [_rows_at_rest(channel, spectrum, mean, len(scale))
             for channel, spectrum, mean in zip(at_rest, between_holds, means, strict=True)]
     return ScoreCovariance(
-        tuple(score_rows(*_with_holds(channel, spectrum, hold, between, mean), scale, extra)
-              for channel, spectrum, hold, between, mean, extra
-              in zip(channels, spectra, at_rest, between_holds, means, shared, strict=True)),
+        tuple(score_rows(*_with_holds(channel, spectrum, hold, between, mean), scale, extra,
+                         noise.get(i))
+              for i, (channel, spectrum, hold, between, mean, extra)
+              in enumerate(zip(channels, spectra, at_rest, between_holds, means, shared, strict=True))),
         correlation_time(spectra, sigma), between_logs,
         _split_halves(logs, together, sigma, prior, scale, least), tuple(rows))
+
+
+def _noise(logs: ActuatorBands, channels: Sequence[Channel], spectra: Sequence[Spectrum],
+           psi: Array) -> Iterator[tuple[int, Array]]:
+    """The expected part (c, c) of KᵀK that is noise of K, by actuator.
+
+    Residuals that are smaller than it makes them show that the sensors are better than stated, and it is as much less.
+    """
+    for i, added in zip(logs.noisy.tolist(), logs.noise, strict=True):
+        expected, shown = float(psi @ added @ psi), float(channels[i].counts @ spectra[i].variance)
+        if expected > 0:
+            own = channels[i].columns
+            yield i, added[np.ix_(own, own)] * min(1.0, shown / expected)
 
 
 def _with_holds(channel: Channel, spectrum: Spectrum, at_rest: Channel, between: Spectrum,

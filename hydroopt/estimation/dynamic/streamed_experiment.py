@@ -48,6 +48,7 @@ from hydroopt.logs.stream import PIECE, LogStream
 from hydroopt.logs.streamed_smoothing import Smoother
 from hydroopt.logs.tip_wrench import free_forces
 from hydroopt.logs.treatment import Samples
+from hydroopt.machine.balances import undriven
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -66,7 +67,8 @@ class Totals:
 
     def __init__(self, model: Model, bases: Sequence[ColumnBasis]) -> None:
         parameters = model.parameters
-        self.known, self.others = ActuatorBands(parameters, bases), ActuatorTriangles(bases, len(parameters))
+        self.known = ActuatorBands(parameters, bases, undriven(model.machine.balances))
+        self.others = ActuatorTriangles(bases, len(parameters))
         self.moving = np.zeros(len(model.machine.balances))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()

@@ -242,7 +242,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         wide = sigma * np.sqrt(correlation_time(spectra_in_motion(problem, folded, sigma, least), sigma))
     equations = tuple(holds.equations(_second_moments(problem, data, wide, priors, stated),
                                       np.nan_to_num(problem.force_std)))
-    found = score_covariance(problem, folded, sigma, least, equations)
+    found = score_covariance(problem, folded, sigma, least, equations, psi)
     # correlated residuals carry less information than as many independent ones
     wide = sigma * np.sqrt(found.correlation_time)
     plain = data.weighted(wide)

@@ -156,7 +156,8 @@ class ScoreRows:
         return made
 
 
-def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Sequence[Shared] = ()) -> ScoreRows:
+def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Sequence[Shared] = (),
+               noise: Array | None = None) -> ScoreRows:
     """The information of one channel about the parameters, by the covariance of its score.
 
     No direction has a smaller variance than the channel's weight says: priors and other channels would lean on
@@ -166,6 +167,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
         channel, spectrum: rows, and variances of their residuals.
         scale: (p,) sizes of the parameters.
         shared: errors beside the residuals.
+        noise: (c, c) expected part of KᵀK that is noise of K, which carries no information.
     """
     if not np.any(channel.counts):
         return ScoreRows(np.zeros((0, len(scale))), np.zeros(0), 0.0, np.zeros(0))
@@ -188,6 +190,8 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
     rows = np.zeros((len(singular), len(scale)))
     rows[:, channel.columns] = np.vstack([directions.T @ (singular[sound, None] * axes[sound]) / root[:, None],
                                           singular[~sound, None] * axes[~sound]]) / own
+    if noise is not None:
+        rows[: len(root), channel.columns] -= w * directions.T @ onto.T @ noise / root[:, None]
     right = np.concatenate([directions.T @ value[sound] / root, value[~sound]])
     rest = float(R[:, -1] @ R[:, -1] - value @ value)
     return ScoreRows(rows, right, max(rest, 0.0), np.append(freedom, np.full(np.sum(~sound), np.inf)))
