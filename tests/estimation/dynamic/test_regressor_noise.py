@@ -45,9 +45,9 @@ def test_the_expectation_is_that_of_drawn_noise(crane: tuple[Model, Experiment])
         away = np.stack([rng.multivariate_normal(np.zeros(3), one, len(motion.t)) for one in errors], axis=2)
         q, qd, qdd = np.stack([motion.q, motion.qd, motion.qdd]) + np.moveaxis(away, 1, 0)
         off = replace(made, motion=replace(motion, q=q, qd=qd, qdd=qdd)).equations()[0][0] - K
-        for k, total in zip(bands.noisy, drawn, strict=True):
+        for n, k in enumerate(bands.noisy):
             rows = off[made.inside & made.known[:, k], k]
-            total += rows.T @ rows / 40
+            drawn[n] += rows.T @ rows / 40
     psi = model.parameters.nominal
     assert [model.machine.balances[k].joint for k in bands.noisy] == ["swing", "sway"]
     for found, expected in zip(bands.noise, drawn, strict=True):
