@@ -1,4 +1,4 @@
-"""Other ways to read a log: signs reversed, channels exchanged, other units, another unit of time."""
+"""Other ways to read a log: signs reversed, channels exchanged, other units, another unit of time, other zeros."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3},
 }
 """Factors that mistaken units make, by the kind of channel."""
+ZEROS = (90, -90, 180, -180)
+"""Degrees by which another zero of an angle is looked for."""
 PRESSURES = (3e5, 1e8)
 """The highest pressure [Pa] of a hydraulic log lies in between: another unit that leads elsewhere is none."""
 
@@ -47,7 +49,7 @@ class Scaled:
 
 @dataclass(frozen=True)
 class Raised:
-    """A length counted from the fully retracted cylinder instead of from pin to pin."""
+    """A length counted from the fully retracted cylinder instead of from pin to pin, or an angle from another zero."""
 
     channels: tuple[str, ...]
     by: float
@@ -56,6 +58,34 @@ class Raised:
     def of(self, log: Log) -> Log:
         """The log read so."""
         return replace(log, channels={**log.channels, **{name: log.channels[name] + self.by for name in self.channels}})
+
+
+@dataclass(frozen=True)
+class FromLevel:
+    """Angles of joints about parallel axes counted from the level, as inclinometers do, not from the link before.
+
+    Attributes:
+        chain: channels of these joints in order; `channels`: those that are counted so.
+    """
+
+    chain: tuple[str, ...]
+    channels: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What is read otherwise."""
+        return f"{', '.join(self.channels)} counted from the level, not from the link before"
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        level, steps = np.zeros(log.size), {}
+        for name in self.chain:
+            if name in self.channels:
+                steps[name] = log.channels[name] - level
+                level = log.channels[name]
+            else:
+                level = level + log.channels[name]
+        return replace(log, channels={**log.channels, **steps})
 
 
 @dataclass(frozen=True)
@@ -116,7 +146,7 @@ class Together:
         return log
 
 
-Alternative = Scaled | Raised | Exchanged | Clock | Together
+Alternative = Scaled | Raised | FromLevel | Exchanged | Clock | Together
 
 
 def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
@@ -137,17 +167,43 @@ def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
         yield Raised((name,), cylinder.dead_length, f"{name} counted from the retracted cylinder")
     yield from (Exchanged(((a, b),), f"{a} and {b} exchanged")
                 for group in (turning, list(lengths)) for a, b in combinations(group, 2))
+    yield from _from_level(model, turning)
+    yield from _zeros(model, log, turning)
     for one, other in chambers:
         yield Exchanged(((one, other),), f"{one} and {other} exchanged")
         yield from (each for name in (one, other) for each in _pressure_units(log, [name]))
     for a, b in combinations(chambers, 2):
         yield Exchanged(tuple(zip(a, b, strict=True)), f"{', '.join(a)} exchanged with {', '.join(b)}")
+        yield from (Exchanged(((one, other),), f"{one} and {other} exchanged") for one, other in product(a, b))
     yield from _efforts(model, here, {name for pair in chambers for name in pair})
     degrees = [Scaled(tuple(turning), UNITS["angle"]["deg"], f"{', '.join(turning)} in deg")] if turning else []
     for parts in product([None, *degrees], [None, *pressures], [None, *clocks[:1]]):
         held = tuple(part for part in parts if part is not None)
         if len(held) > 1:
             yield Together(held)
+
+
+def _from_level(model: Model, turning: list[str]) -> Iterator[FromLevel]:
+    """All but the first, or one, of the joints that turn about parallel axes, one behind the other."""
+    chain: list[str] = []
+    for joint in model.machine.joints:
+        if f"{joint}.q" in turning:
+            chain.append(f"{joint}.q")
+        if f"{joint}.q" in turning and model.machine.link(joint).joint.alpha == 0 and joint != model.machine.joints[-1]:
+            continue
+        if len(chain) > 2:
+            yield FromLevel(tuple(chain), tuple(chain[1:]))
+        yield from (FromLevel(tuple(chain), (name,)) for name in chain[1:])
+        chain = []
+
+
+def _zeros(model: Model, log: Log, turning: list[str]) -> Iterator[Raised]:
+    """Other zeros of angles that are mostly beyond their joint's limits."""
+    for name in turning:
+        low, high = model.machine.link(name[:-2]).joint.range
+        if np.mean((log.channels[name] < low) | (log.channels[name] > high)) > 0.5:
+            yield from (Raised((name,), np.radians(turn), f"{name} counted from a zero {abs(turn)} deg away")
+                        for turn in ZEROS)
 
 
 def _signs(names: list[str]) -> Iterator[Scaled]:

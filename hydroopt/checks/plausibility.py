@@ -8,7 +8,7 @@ import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, Scaled, alternatives
-from hydroopt.checks.sensors import beyond_relief, scattering, stuck_sensors
+from hydroopt.checks.sensors import beyond_relief, held_sensors, scattering, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
@@ -25,6 +25,8 @@ BETTER, LOWER = 0.5, 100.0
 so much."""
 MISSED = 0.25
 """By how much of the forces another reading may miss the nominal ones more than the log as read."""
+REFUTED = 0.8
+"""Nominal error of an actuator, as a part of its measured forces, from which on a reading does not agree well."""
 IMPOSSIBLE = 4.0
 """Nominal error of an actuator, as a multiple of its measured forces, that no machine file has in a sound log."""
 FEW, CLEARLY = 2.0, 0.75
@@ -72,7 +74,8 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
         return ()
     held = log if isinstance(log, Log) else _sample(model, log)
     where = log.path or log.name
-    stuck = tuple(stuck_sensors(model.machine, held, where))
+    repeated = held_sensors(model.machine, held, where) if held is log else ()
+    stuck = (*stuck_sensors(model.machine, held, where), *repeated)
     mistakes, corrected = ([], held) if stuck else _mistakes(model, held)
     misread = (Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes)
     return *stuck, *misread, *_contradictions(model, corrected, where)
@@ -109,8 +112,10 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
         least, (best, agreed) = scored[0][0], scored[0][1:]
         tied = [other for score, other, _ in scored if abs(score - least) < TIED]
         channels = tuple(dict.fromkeys(name for one in tied for name in one.channels))
+        well = agreed.score <= LOWER or agreed.worst < REFUTED
         found.append((channels, {
             "reading": " or ".join(one.words for one in tied), "read_so": agreed.words(now or agreed),
+            "agrees": "agrees" if well else "agrees better, though not well,",
             "as_read": now.words(agreed) if now else "no posture fits",
             "score_as_read": now.score if now else None, "score_read_so": least}))
         log, now = best.of(log), agreed

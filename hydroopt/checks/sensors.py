@@ -11,7 +11,7 @@ from hydroopt.checks.alternatives import UNITS
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.dead_channels import position_ranges
 from hydroopt.logs.log import Log
-from hydroopt.logs.quality import frozen
+from hydroopt.logs.quality import frozen, held
 from hydroopt.logs.table import runs
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensor import Sensor
@@ -19,6 +19,8 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
+JUMP = 3.0
+"""Step at the end of a rest, as a multiple of the largest one elsewhere, that shows a sensor stuck."""
 STUCK = 0.05
 """Share of a log's samples that a sensor must be stuck in."""
 MOVED, LEAST = 0.05, 0.005
@@ -68,10 +70,43 @@ def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
         share = float(np.mean(stuck))
         if share >= STUCK:
             at = np.flatnonzero(stuck)
-            yield Diagnostic(Kind.SENSOR_STUCK, (channel,), {
-                "log": where, "share": share, "rows": runs(log.sample[at]), "joint": joint,
-                "value": float(log.channels[channel][at[0]]), "unit": log.units[channel],
-                "from_s": float(log.t[at[0]]), "to_s": float(log.t[at[-1]])})
+            yield _stuck(log, channel, at, where, f" while {joint} moves")
+    for joint in machine.joints:  # read by one sensor alone
+        if (channel := f"{joint}.q") in log.channels and channel not in _movers(machine, log):
+            at, jump = _before_jumps(log, channel)
+            if at.size >= STUCK * log.size:
+                yield _stuck(log, channel, at, where, f", then jumps by {jump:.3g} {log.units[channel]}")
+
+
+def _stuck(log: Log, channel: str, at: NDArray[np.int64], where: str, evidence: str) -> Diagnostic:
+    return Diagnostic(Kind.SENSOR_STUCK, (channel,), {
+        "log": where, "share": at.size / log.size, "rows": runs(log.sample[at]), "evidence": evidence,
+        "value": float(log.channels[channel][at[0]]), "unit": log.units[channel],
+        "from_s": float(log.t[at[0]]), "to_s": float(log.t[at[-1]])})
+
+
+def _before_jumps(log: Log, channel: str) -> tuple[NDArray[np.int64], float]:
+    """Samples in which a position rests while other channels do not, and then leaves its value by a step that its
+    motion has nowhere else; and the largest such step."""
+    x = log.channels[channel]
+    level = [span for span in frozen(x, log.segment)
+             if any(np.ptp(other[slice(*span)]) > 0 for name, other in log.channels.items() if name != channel)]
+    steps = np.abs(np.diff(x))
+    ends = [stop - 1 for _, stop in level if stop < x.size]
+    usual = float(np.max(np.delete(steps, ends), initial=0.0))
+    jumped = [(start, stop) for start, stop in level if stop < x.size and steps[stop - 1] > JUMP * usual]
+    at = np.concatenate([np.arange(*span) for span in jumped]) if jumped else np.zeros(0, dtype=np.int64)
+    return at, max((float(steps[stop - 1]) for _, stop in jumped), default=0.0)
+
+
+def held_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
+    """Positions that a logger repeats between the samples of a slower sensor."""
+    channels = [f"{joint}.q" for joint in machine.joints] + [f"{each.name}.length" for each in machine.cylinders]
+    found = {name: every for name in channels if name in log.channels and (every := held(log.channels[name]))}
+    if found:
+        every = max(found.values())
+        step = float(np.median(np.diff(log.t)))
+        yield Diagnostic(Kind.SENSOR_HELD, tuple(found), {"log": where, "every": every, "rate": 1 / (every * step)})
 
 
 def _moves(machine: Machine, log: Log, joint: str, channel: str, span: slice) -> bool:

@@ -49,7 +49,11 @@ def map(
         for each in found.proposals:
             echo(f"{each.sureness:6}  {each.channel} = '{each.column.header}' [{each.unit or 'date'}]: {each.reason}")
         for header in found.possible:
-            echo(f"unsaid  '{header}': {found.question(header)}")
+            echo(f"open    '{header}': {found.question(header)}")
+        if found.missing:
+            echo(f"without a column: {', '.join(found.missing)}")
+        if unused := [header for header in found.unused if header not in found.possible]:
+            echo(f"not used: {', '.join(repr(header) for header in unused)}")
     _next(found, log, machine, to)
 
 
@@ -62,17 +66,17 @@ def _next(found: MapProposal, log: Path, machine: str, to: Path | None) -> None:
     """What to do next."""
     counts = {each: sum(p.sureness == each for p in found.proposals) for each in ("sure", "likely", "guess")}
     echo(f"{counts['sure']} sure, {counts['likely']} likely, {counts['guess']} guessed (commented out), "
-         f"{len(found.missing)} usual channels without a column.")
+         f"{len(found.missing)} of the usual channels without a column.")
     path = str(to) if to is not None else "map.toml"
-    command = f"hydroopt identify {shlex.quote(machine)} {shlex.quote(str(log))} --map {shlex.quote(path)} -o out"
+    command = f"hydroopt check {shlex.quote(machine)} {shlex.quote(str(log))} --map {shlex.quote(path)}"
     again = f"hydroopt map {shlex.quote(str(log))} {shlex.quote(machine)} --to map.toml"
     timed = found.own_stamps or any(p.channel == "t" for p in found.proposals)
     questions = {"decide the guesses": counts["guess"], "name the column of the time": not timed,
-                 "say which column is which channel, where it lists both": found.missing and found.unused}
+                 "write the columns of the channels that have none": found.missing and found.unused}
     open_ones = [text for text, asked in questions.items() if asked]
     if to is None:
         echo(f"Next: {again}")
     elif open_ones:
-        echo(f"Next: in {path}, {'; '.join(open_ones)}. Then {command}")
+        echo(f"Next: in {path}, {' and '.join(open_ones)}. Then {command}")
     else:
         echo(f"Next: {command}")

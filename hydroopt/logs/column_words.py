@@ -19,7 +19,7 @@ WORDS = {
     "bucket": ("loeffel", "schaufel", "attachment"),
     "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "schwenkwerk", "house", "cab"),
     "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
-    "cylinder": ("cyl", "zylinder", "zyl"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
+    "cylinder": ("cyl", "zylinder", "zyl", "ram", "jack"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
     "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi",
               "neigung", "angulo", "kulma", "vinkel", "kakudo"),
     "velocity": ("rate", "speed", "vel", "qd", "gyro", "geschwindigkeit", "drehrate", "omega"),
@@ -29,8 +29,10 @@ WORDS = {
     "pressure": ("druck", "p", "press", "pression", "presion", "paine", "tryck", "atsuryoku"),
     "force": ("kraft", "load", "f"),
     "torque": ("moment", "drehmoment", "tau", "effort"), "command": ("u", "cmd", "joystick", "valve", "ventil", "pwm"),
-    "head": ("bore", "cap", "boden", "bodenseite", "kolbenseite", "base", "pistonside", "blind", "bottom"),
-    "rod": ("ring", "stange", "stangenseite", "ringseite", "annulus", "rodside"),
+    "head": ("bore", "cap", "boden", "bodenseite", "bodenseitig", "kolben", "kolbenseite", "kolbenseitig", "piston",
+             "pistonside", "base", "blind", "bottom"),
+    "rod": ("ring", "ringseite", "ringseitig", "ringraum", "stange", "stangenseite", "stangenseitig", "kolbenstange",
+            "kolbenstangenseite", "annulus", "gland", "rodside"),
     "supply": ("versorgung", "system"), "tank": ("return", "ruecklauf"),
     "1": ("one", "eins"), "2": ("two", "zwei"),
 }
@@ -39,7 +41,8 @@ MEANING = {word: meaning for meaning, words in WORDS.items() for word in (meanin
 GENERIC = {"cylinder", "motor", "joint", "link", "axis", "imu", "sensor"}
 """Words of a part's name that a column of it need not have."""
 ASIDE = {"linear", "angular", "sensor", "log", "data", "daten",
-         "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
+         "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "end", "port",
+         "chamber", "kammer", "anschluss", "in", "of",
          "deg", "rad", "bar", "pa", "kpa", "mpa", "psi", "m", "mm", "cm", "s", "ms", "us", "ns", "n", "kn", "grad",
          "nm"}
 """Words that say nothing of part or quantity; a unit before other words is no statement of it."""

@@ -14,7 +14,7 @@ import numpy as np
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs import stamps
 from hydroopt.logs.channels import si_unit
-from hydroopt.logs.column_words import Naming, matched, may_be, naming, words_of
+from hydroopt.logs.column_words import GENERIC, Naming, matched, may_be, naming, words_of
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.table import Array
@@ -30,6 +30,10 @@ BEYOND = 0.02
 """Share of a range by which values may leave it."""
 LEAST_PRESSURE, MOST_PRESSURE = 1e6, 6e7
 """Highest pressure [Pa] of a log: at least, where its unit is inferred, and at most, where no relief is stated."""
+SILENT = 1e5
+"""Highest pressure [Pa] of a chamber, at least, whose unit is inferred."""
+LEAST_RATE, MOST_RATE = 2.0, 2e4
+"""Samples per second of a log, where the unit of its time is inferred."""
 AGREES, DIFFERS = 0.01, 0.1
 """RMS difference of lengths from those by the angles, as part of their range, that confirms both, and that denies."""
 MOST = 6
@@ -164,7 +168,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
-    found = _by_triangles(Model(machine), _by_name(machine, wanted, rest))
+    found = _by_triangles(Model(machine), {**_by_number(machine, rest), **_by_name(machine, wanted, rest)})
     taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
     usual = {*(f"{joint}.q" for joint in machine.joints),
              *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
@@ -223,8 +227,11 @@ def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
     if (unit := stamps.epoch_unit(column.values)) is not None:
         return [Proposal("t", column, unit, "likely", f"an epoch in {unit}: another unit would be no date of this age")]
     step = float(np.median(np.diff(column.values)))
-    unit = "s" if step < 1 else "ms"
-    return [Proposal("t", column, unit, "guess", f"named as a time without a unit; its step is {step:.4g}")]
+    said = f"named as a time without a unit; its step is {step:.4g}"
+    fitting = [unit for unit, ticks in stamps.EPOCHS.items() if step > 0 and LEAST_RATE <= ticks / step <= MOST_RATE]
+    if len(fitting) == 1 and _increases(column):
+        return [Proposal("t", column, fitting[0], "likely", f"{said}, as of a log in {fitting[0]} alone")]
+    return [Proposal("t", column, "s" if step < 1 else "ms", "guess", said)]
 
 
 def _increases(column: ColumnOf) -> bool:
@@ -235,10 +242,14 @@ def _increases(column: ColumnOf) -> bool:
 def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
     """The best column of each channel by its name, judged by unit and values."""
     ranked: dict[str, list[tuple[int, Proposal]]] = {}
+    scores = {channel: [(score, column) for column in columns if (score := matched(channel, column.named, si))]
+              for channel, si in wanted.items()}
+    usual = TRIED | {"Pa": _pressure_units(machine, {
+        channel: [column for score, column in scores[channel] if score > 1]
+        for channel, si in wanted.items() if si == "Pa"})}
     for channel, si in wanted.items():
-        for column in columns:
-            score = matched(channel, column.named, si)
-            if score and (made := _judged(machine, channel, si, column, score)) is not None:
+        for score, column in scores[channel]:
+            if (made := _judged(machine, channel, si, column, score, usual.get(si, (si,)))) is not None:
                 ranked.setdefault(channel, []).append((score, made))
     best = {channel: max(score for score, _ in found) for channel, found in ranked.items()}
     claims: dict[tuple[str, int], list[str]] = {}
@@ -260,8 +271,51 @@ def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[Colu
     return chosen
 
 
-def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int) -> Proposal | None:
-    """The proposal of a column that is named as a channel; None where its unit is of another kind."""
+def _by_number(machine: Machine, columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
+    """Columns `q1` to `qn` or `joint 1 [deg]` as guesses for the n joints, in the machine file's order."""
+    numbered: dict[int, list[ColumnOf]] = {}
+    for column in columns:
+        number = [word for word in column.named.words if word.isdigit()]
+        angle = "angle" in column.named.words or of_kind(column.named.units, "rad")
+        if len(number) == 1 and angle and not column.named.words - GENERIC - {"angle", *number}:
+            numbered.setdefault(int(number[0]), []).append(column)
+    joints = machine.joints
+    if sorted(numbered) != list(range(1, len(joints) + 1)) or any(len(each) > 1 for each in numbered.values()):
+        return {}
+    made = {f"{joint}.q": _judged(machine, f"{joint}.q", "rad", numbered[number][0], 2, TRIED["rad"])
+            for number, joint in enumerate(joints, 1) if machine.channel_units.get(f"{joint}.q") == "rad"}
+    return {channel: replace(each, sureness="guess", reason=(
+        f"number {joints.index(channel[:-2]) + 1} of {len(joints)} in the machine file's order"))
+        for channel, each in made.items() if each is not None}
+
+
+def _pressure_units(machine: Machine, named: Mapping[str, Sequence[ColumnOf]]) -> tuple[str, ...]:
+    """The usual units that allow all pressures without a unit: a logger writes all of them in one.
+
+    Columns that no unit allows do not count. Where units differ from column to column, all usual ones.
+    """
+    columns = [(channel, column) for channel, found in named.items() for column in found if not column.named.units]
+    allowed = [set(fitting) for channel, column in columns
+               if (fitting := _fitting(machine, channel, "Pa", column.values, TRIED["Pa"]))]
+    highest = max((float(np.nanmax(column.values)) for _, column in columns), default=0.0)
+    together = tuple(unit for unit in TRIED["Pa"] if all(unit in each for each in allowed)
+                     and highest * factor(unit, "Pa") >= LEAST_PRESSURE)
+    return together or TRIED["Pa"]
+
+
+def _fitting(machine: Machine, channel: str, si: str, values: Array, units: Sequence[str]) -> list[str]:
+    """Of the units, those in which the values are within a channel's range; none where the machine states no range."""
+    low_high = _range(machine, channel)
+    return [] if low_high is None else [unit for unit in units if _within(values * factor(unit, si), low_high)]
+
+
+def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int,
+            usual: Sequence[str]) -> Proposal | None:
+    """The proposal of a column that is named as a channel; None where its unit is of another kind.
+
+    Args:
+        usual: the units that a column without one may have.
+    """
     stated, low_high = of_kind(column.named.units, si), _range(machine, channel)
     if column.named.units and not stated:
         return None
@@ -275,15 +329,16 @@ def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: in
         if _within(column.values * factor(unit, si), low_high):
             return Proposal(channel, column, unit, sureness, f"{said}, values within its range")
         return Proposal(channel, column, unit, "guess", f"{said}, but {_outside(column, unit, si, low_high)}")
-    highest = float(np.nanmax(column.values))
-    fitting = [each for each in stated or TRIED.get(si, (si,))
-               if low_high is not None and _within(column.values * factor(each, si), low_high)
-               and (si != "Pa" or highest * factor(each, si) >= LEAST_PRESSURE)]
+    fitting = _fitting(machine, channel, si, column.values, stated or usual)
+    if si == "Pa" and not stated:
+        fitting = [unit for unit in fitting if np.nanmax(column.values) * factor(unit, si) >= SILENT]
     if stated:
         said += f", '{column.named.text}' may be {' or '.join(stated)}"
     if len(fitting) == 1 and score > 1:
+        alone = stated or len(_fitting(machine, channel, si, column.values, TRIED.get(si, (si,)))) == 1
+        who = "its values allow" if alone else "all pressures without a unit together allow"
         return Proposal(channel, column, fitting[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "
-                        f"its values allow {fitting[0]} alone")
+                        f"{who} {fitting[0]} alone")
     if stated:
         return Proposal(channel, column, (fitting or stated)[0], "guess", f"{said}: write the right unit")
     choice = " or ".join(fitting) if fitting else "none of the usual ones fits"

@@ -15,6 +15,9 @@ from hydroopt.logs.table import runs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+REPEATED, EVEN, OFTEN = 3, 5, 0.9
+"""Samples from one change of a repeated channel to the next, at least; those from which on they may differ by one; and
+the share of changes that are so even."""
 _WINDOW = 25  # samples of the running median: spikes up to 12 samples wide stand out
 _USUAL = 1.96 / 6  # 95th percentile of residuals, as a part of the greatest one that is usual
 
@@ -24,7 +27,8 @@ class Finding:
     """A finding about a log.
 
     Attributes:
-        kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", "dead" (a force
+        kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", "held"
+            (repeated by the logger between the samples of a slower sensor), "dead" (a force
             that never changes while its joint moves), or for information "rows" (a map selected them), "ignored"
             (columns that are not channels), "empty" (columns without a number), "sparse" (columns with numbers in some
             rows), "format" and "clock" (what was taken of a file and of its times that they do not state), "unpaired"
@@ -198,6 +202,25 @@ def frozen(x: Array, segment: NDArray[np.int64] | None = None) -> list[tuple[int
     ends = [end for end in (np.nanmin(x), np.nanmax(x))
             if np.any(x[free] == end) or sum(x[start] == end for start, _ in level) > 1]
     return [(start, stop) for start, stop in level if x[start] not in ends]
+
+
+def held(x: Array) -> int:
+    """Every how many samples a channel (N,) changes, at least three, if it rests in between all along; else 0.
+
+    A slow sensor that the logger repeats changes evenly, by many steps at once; slow motion in coarse steps does not.
+
+    >>> wave = np.sin(np.arange(600) / 40.0)
+    >>> held(np.repeat(wave[::10], 10)), held(wave), held(np.round(wave, 1))
+    (10, 0, 0)
+    """
+    steps = np.diff(x)
+    at = np.flatnonzero(steps)
+    if at.size < _WINDOW:
+        return 0
+    gaps, sizes = np.diff(at), np.abs(steps[at])
+    every = int(np.median(gaps))
+    even = np.mean(np.abs(gaps - every) <= (1 if every > EVEN else 0))
+    return every if every >= REPEATED and even >= OFTEN and np.median(sizes) > 2 * np.min(sizes) else 0
 
 
 def _abrupt(x: Array, start: int, stop: int) -> bool:

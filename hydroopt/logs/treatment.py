@@ -16,6 +16,7 @@ ACTIONS: dict[str, tuple[str, ...]] = {
     "nan": ("use", "drop", "interpolate", "error"),
     "non-monotonic": ("error", "drop"),
     "duplicate": ("error", "first", "mean"),
+    "held": ("keep", "drop", "error"),
     "saturated": ("keep", "drop", "error"),
     "stuck": ("keep", "drop", "error"),
     "spike": ("keep", "drop", "interpolate", "error"),
@@ -67,7 +68,7 @@ def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
 
 def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
           where: str) -> tuple[Samples, NDArray[np.int64]]:
-    """Find and treat, in this order: NaN, time order, repeated stamps, outliers, sampling.
+    """Find and treat, in this order: NaN, time order, repeated stamps, repeated readings, outliers, sampling.
 
     Returns the samples left and the stretch (N,) each belongs to.
 
@@ -76,7 +77,8 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     """
     silent = samples.reported is not None and samples.reported[0] > samples.reported[1]
     idle = silent and all(chosen[kind] != "drop" for kind in ("saturated", "stuck", "spike"))
-    for step in (_not_a_number, _order, _repeats, *(() if idle else (_outliers,))):
+    whole = () if samples.reported else (_held,)
+    for step in (_not_a_number, _order, _repeats, *whole, *(() if idle else (_outliers,))):
         samples = step(samples, chosen, limits, where)
         if samples.t.size < 2:
             raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
@@ -158,6 +160,21 @@ def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where:
         count = np.bincount(group)
         means = {k: (np.bincount(group, x) / count)[group] for k, x in samples.channels.items()}
         samples = replace(samples, channels=means)
+    return samples.keep(~mask)
+
+
+def _held(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+    """Positions that the logger repeats between the samples of a slower sensor: all samples but its own are found."""
+    every = {name: find.held(x) for name, x in samples.channels.items() if name.rpartition(".")[2] in ("q", "length")}
+    slowest = max(every, key=lambda name: every[name], default="")
+    if not slowest or not every[slowest] or chosen["held"] == "keep":
+        return samples
+    x, rows = samples.channels[slowest], np.arange(samples.t.size)
+    changes = np.flatnonzero(np.diff(x)) + 1
+    phase = int(np.bincount(changes % every[slowest]).argmax())
+    regular = np.mean(changes % every[slowest] == phase) > find.OFTEN
+    mask = rows % every[slowest] != phase if regular else ~np.isin(rows, changes)
+    samples = _note(samples, "held", slowest, mask, "repeat the reading before", chosen, where)
     return samples.keep(~mask)
 
 

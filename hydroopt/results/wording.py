@@ -48,6 +48,7 @@ class Kind(StrEnum):
     LENGTH_CONTRADICTS_ANGLE = "length contradicts angle"
     OTHER_SAMPLING_RATE = "other sampling rate"
     SENSOR_STUCK = "sensor stuck"
+    SENSOR_HELD = "sensor held"
     SENSOR_SCATTERS = "sensor scatters beyond its accuracy"
     BEYOND_RELIEF = "beyond relief pressure"
 
@@ -205,7 +206,7 @@ class Kind(StrEnum):
 REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
 OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
-                         Kind.SENSOR_STUCK, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
+                         Kind.SENSOR_STUCK, Kind.SENSOR_HELD, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
     Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.FASTER_THAN_SMOOTHING,
@@ -223,8 +224,8 @@ WORDS: dict[Kind, Words] = {
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
     Kind.LOG_MISREAD: Words(
-        "Read with {reading}, {log} agrees with the machine file: {read_so}. As it is read, it contradicts the machine "
-        "file: {as_read}.",
+        "Read with {reading}, {log} {agrees} with the machine file: {read_so}. As it is read, it contradicts the "
+        "machine file: {as_read}.",
         "Correct units, signs and names of {subject} in the file or its map; nothing was changed here."),
     Kind.BEYOND_JOINT_LIMITS: Words(
         "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} against "
@@ -238,8 +239,12 @@ WORDS: dict[Kind, Words] = {
         "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
         "Correct the unit of time in the file or its map, or the rate of the sensors."),
     Kind.SENSOR_STUCK: Words(
-        "{subject} is stuck at {value:.4g} {unit} in {share:.0f %} of {log} (rows {rows}) while {joint} moves.",
+        "{subject} is stuck at {value:.4g} {unit} in {share:.0f %} of {log} (rows {rows}){evidence}.",
         "Check this sensor and its wiring, record again, or leave these samples out: --treat stuck=drop."),
+    Kind.SENSOR_HELD: Words(
+        "{subject}: only one sample in {every} of {log} is a new reading ({rate:.3g} Hz); the others repeat it, as "
+        "many loggers do.",
+        "Leave the repeated samples out: --treat held=drop; or log each group of sensors with a clock of its own."),
     Kind.SENSOR_SCATTERS: Words(
         "{subject} in {log} scatters by {noise:.3g} {unit} from sample to sample, {ratio:.2g} times its stated "
         "accuracy{reading}.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.log_check import check_logs
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.results.wording import Kind
@@ -100,3 +102,25 @@ def test_noise_five_times_as_stated_and_pressures_beyond_relief_are_named() -> N
     assert found.evidence["ratio"] == pytest.approx(np.hypot(8, 1), rel=0.1)
     (found,) = beyond_relief(model.machine, changed(log, rod, log.channels[rod] + 6e7), "run")
     assert (found.kind, found.subject) == (Kind.BEYOND_RELIEF, (rod,))
+
+
+def test_a_stuck_angle_without_a_second_reading_is_shown_by_its_jump() -> None:
+    model, log = sound("cat215b")
+    alone = replace(log, channels={name: x for name, x in log.channels.items() if ".length" not in name})
+    (found,) = examine(model, changed(alone, "boom.q", held(log.channels["boom.q"], 300, 500)))
+    assert (found.kind, found.subject) == (Kind.SENSOR_STUCK, ("boom.q",))
+    assert "then jumps by" in found.text
+
+
+@pytest.mark.parametrize("every", [3, 10])
+def test_angles_that_the_logger_repeats_are_named_and_dropped(every: int, tmp_path: Path) -> None:
+    model, log = sound("wheel_loader")
+    rows = np.arange(log.size) // every * every
+    slow = replace(log, channels={name: x[rows] if name.endswith((".q", ".length")) else x
+                                  for name, x in log.channels.items()})
+    (found,) = examine(model, slow)
+    assert (found.kind, found.evidence["every"]) == (Kind.SENSOR_HELD, every)
+    slow.write(tmp_path / "slow.csv")
+    kept = read_log(tmp_path / "slow.csv", treatment={"held": "drop"})
+    np.testing.assert_array_equal(kept.t, log.t[::every])
+    assert examine(model, kept) == ()

@@ -132,7 +132,7 @@ def test_the_command_writes_the_map_and_says_what_is_next(log, tmp_path, capsys)
     path, to = foreign(log, tmp_path / "run.csv"), tmp_path / "map.toml"
     app(["map", str(path), "cat215b", "--to", str(to)], standalone_mode=False)
     said = capsys.readouterr().out
-    assert said.splitlines()[-1] == f"Next: hydroopt identify cat215b {path} --map {to} -o out"
+    assert said.splitlines()[-1] == f"Next: hydroopt check cat215b {path} --map {to}"
     assert "9 sure, 2 likely, 0 guessed" in said
     assert to.read_text() == propose_map(path, load_machine("cat215b")).toml()
     with pytest.raises(Exception, match="such a file already"):
@@ -159,3 +159,34 @@ def test_variables_of_a_matlab_file_are_listed_and_its_map_reads_them(machine, l
     read = read_log(tmp_path / "run.mat", mapping=tmp_path / "map.toml")
     np.testing.assert_allclose(read.channels["boom.q"], log.channels["boom.q"], rtol=1e-14)
     np.testing.assert_array_equal(read.channels["stick_cylinder.p_rod"], [*pressures.values()][5])
+
+
+def test_pressures_without_a_unit_have_one_in_common(machine, log, tmp_path):
+    """A chamber at low pressure would allow MPa, which the other chambers do not."""
+    names = {channel: (header.split(" [")[0].split(" /")[0], unit, scale)
+             for channel, (header, unit, scale) in FOREIGN.items()}
+    low = 2e5 + 0.2 * log.channels["boom_cylinder.p_rod"] / np.max(log.channels["boom_cylinder.p_rod"]) * 1e6
+    found = propose_map(foreign(log, tmp_path / "run.csv", names, boom_cylinder_p_rod=low), machine)
+    assert {each.channel: (each.unit, each.sureness) for each in found.proposals if ".p_" in each.channel} == {
+        channel: ("bar", "likely") for channel in FOREIGN if ".p_" in channel}
+    assert "all pressures without a unit together allow bar alone" in proposal(found, "boom_cylinder.p_rod").reason
+
+
+def test_numbered_joints_and_a_time_by_its_step_are_proposed(machine, log, tmp_path):
+    names = FOREIGN | {f"{joint}.q": (f"q{number} (deg)", "deg", 180 / np.pi)
+                       for number, joint in enumerate(machine.joints, 1)}
+    path = foreign(log, tmp_path / "run.csv", names)
+    path.write_text(path.read_text("latin-1").replace("Zeit [s]", "Zeit"), "latin-1")
+    found = propose_map(path, machine)
+    assert (proposal(found, "t").unit, proposal(found, "t").sureness) == ("s", "likely")
+    for joint in machine.joints[:1]:  # without a length that proves it
+        refused(found, f"{joint}.q", "number 1 of 3 in the machine file's order")
+
+
+@pytest.mark.parametrize(("header", "channel"), [
+    ("Auslegerzylinder Druck bodenseitig [bar]", "boom_cylinder.p_head"),
+    ("Boom ram annulus [kPa]", "boom_cylinder.p_rod"), ("Boom Cyl. Cap End Pressure (MPa)", "boom_cylinder.p_head"),
+    ("Slew motor port A [kPa]", "swing_motor.p_a"), ("Dipper ram piston side psi", "stick_cylinder.p_head"),
+    ("Stielzylinder Kolbenstangenseite bar", "stick_cylinder.p_rod")])
+def test_words_of_chambers(header, channel):
+    assert matched(channel, naming(header), "Pa") == 2
