@@ -108,7 +108,7 @@ def test_unknown_names_and_files_are_machine_errors(tmp_path: Path) -> None:
 def test_one_log_stands_for_a_list_of_it(logs: tuple[ho.Log, ...]) -> None:
     one, listed = (ho.identification_problem(NAME, given, logs[1]) for given in (logs[0], [logs[0]]))
     assert str(one) == str(listed)
-    with pytest.raises(ho.LogError, match=r"this is a str, not a log; make one by Log\.from_frame"):
+    with pytest.raises(ho.LogError, match=r"this is a str, not a log; read one by read_log"):
         ho.identification_problem(NAME, "run.csv")
     with pytest.raises(ho.LogError, match="this is a int, not a log"):
         ho.payload(NAME, 3, logs[0])

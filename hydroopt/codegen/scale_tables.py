@@ -116,7 +116,8 @@ class ScaleTables:
                 "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
                 "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
                 "NOTICED": course.NOTICED, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
-                "RESTING": course.RESTING, "FEWEST": course.FEWEST, "CONTRADICTED": course.CONTRADICTED,
+                "RESTING": course.RESTING, "FORGOTTEN": course.FORGOTTEN, "FEWEST": course.FEWEST,
+                "CONTRADICTED": course.CONTRADICTED,
                 "NEGATIVE": course.NEGATIVE, "OVERLOAD": course.OVERLOAD, "NORMAL": NORMAL, "ROUNDING": 1e-6}
 
     @cached_property
@@ -166,7 +167,7 @@ class ScaleTables:
         """Bytes of the state between calls."""
         n, r, c, window = len(self.scale.angle_std), self.rows, self.scale.count, (self.lags + 1) * self.rows
         columns, left = c + 11 + self.recent, 1 + self.recent
-        reals = 11 + self.tape * (1 + 4 * n + 2 * r) + (2 * self.kernel.margin + 1) * (n + r) + c * (c + 3) + 10
+        reals = 13 + self.tape * (1 + 4 * n + 2 * r) + (2 * self.kernel.margin + 1) * (n + r) + c * (c + 3) + 10
         reals += (c + 10) * columns + 3 * left + window * (columns + window + 4 * n)
         size = (4 if single else 8) * reals + 4 * (21 + window)
         return size if single else -(-size // 8) * 8

@@ -75,8 +75,8 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands more of '{plant.actuators[i].actuator.name}' than its valve gives "
             "when fully open", where="--motion",
-            remedy="drive it slower, with a longer --duration of excite or simulate, or correct the valve's flow "
-                   "or the pump's pressure in the machine file")
+            remedy="design it with the calibrated machine, drive it slower, with a longer --duration of excite or "
+                   "simulate, or correct the valve's flow or the pump's pressure in the machine file")
 
 
 def openings(demand: Demand, valves: Valves, supply: Array) -> Array:

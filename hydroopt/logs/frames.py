@@ -98,8 +98,8 @@ def all_of(given: Any, kinds: tuple[type, ...], noun: str, where: str) -> tuple[
     for item in items:
         if not isinstance(item, kinds):
             raise LogError(f"this is a {type(item).__name__}, not a {noun}", where=where,
-                           remedy=f"make one by {kinds[0].__name__}.from_frame(frame, units={{...}}) or by reading a "
-                                  "file")
+                           remedy=f"read one by read_{kinds[0].__name__.lower()}(path), or make one by "
+                                  f"{kinds[0].__name__}.from_frame(frame, units={{...}})")
     return items
 
 

@@ -59,7 +59,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
     ``.xml`` (MJCF).
 
     Args:
-        machine: name or path.
+        machine: name or path, also of the folder that a command wrote with the calibrated machine.
         parameter_set: which of the file's sets of inertial parameters; by default the one the file names. A robot file
             has none.
         tip: of a robot file, the link at the end of the chain to read; all joints by default. See
@@ -85,9 +85,13 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
                            remedy="leave it out")
     if file := bundled_files().get(name):
         return read_machine(file.read_text("utf-8"), where=name, parameter_set=parameter_set)
+    if path.is_dir() and len(machines := sorted(path.glob("*.toml"))) == 1:  # what a command wrote
+        return load_machine(machines[0], parameter_set=parameter_set)
     if path.suffix != ".toml":
+        close = get_close_matches(name, bundled(), 2)
         raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
-                           where=name, remedy=f"name a .toml file or one of {', '.join(bundled())}")
+                           where=name, remedy=f"did you mean {' or '.join(close)}" if close else
+                           "name a .toml file, or one of the machines that 'hydroopt models' lists")
     return read_machine(read_text(path, MachineError, noun="machine file"), where=name, parameter_set=parameter_set)
 
 

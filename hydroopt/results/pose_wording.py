@@ -15,7 +15,7 @@ POSE_WORDS: dict[Kind, Words] = {
     Kind.STROKE_CONTRADICTS_POSES: Words(
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
         "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
-        "Correct its dead length and stroke in the machine file."),
+        "Correct dead length and stroke of {cylinder} in the machine file."),
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",
         "Fix them, add priors, or add poses and sensors that depend on them."),

@@ -75,8 +75,8 @@ SESSION_WORDS: dict[Kind, Words] = {
         "The log must begin with the empty machine, and go on with a load."),
     Kind.SCALE_CONTRADICTED: Words(
         "Readings contradict the calibrated model: residuals are {misfit:.1f} times as large as expected.",
-        "Check signs and channels of pressures, that the machine was empty during the tare, the tool, and the "
-        "calibration."),
+        "Check where the load's centre of mass is (--centre, --centre-sigma), signs and channels of pressures, that "
+        "the machine was empty during the tare, the tool, and the calibration."),
     Kind.FORCE_SCALE_ASSUMED: Words(
         "Force readings are assumed to be right in scale: a common relative error of all of them is that of the mass.",
         "State with --gain-error how large their relative errors may be."),

@@ -271,12 +271,19 @@ class Verdict:
 
 
 def _folded(uses: Sequence[Use], most: int) -> str:
-    """The figures of several uses, then reasons and conditions that they share."""
-    named = ", ".join(filter(None, map(str, uses[:most])))
+    """The figures of several uses by the reason that they share, then their conditions."""
+    groups: dict[str, list[Use]] = {}
+    for use in uses:
+        groups.setdefault(use.reason, []).append(use)
+    said = [": ".join(filter(None, [_figures(some, -(-most // len(groups))), reason]))
+            for reason, some in groups.items()]
+    return "; ".join(filter(None, [*said, *dict.fromkeys(use.condition for use in uses if use.condition)][:3]))
+
+
+def _figures(uses: Sequence[Use], most: int) -> str:
+    """The first figures of several uses, and how many there are more."""
     more = f" and {len(uses) - most} more" if len(uses) > most else ""
-    told = [*dict.fromkeys(use.reason for use in uses if use.reason), *dict.fromkeys(
-        use.condition for use in uses if use.condition)]
-    return "; ".join(filter(None, [f"{named}{more}", *told[:2]]))
+    return f"{', '.join(filter(None, map(str, uses[:most])))}{more}"
 
 
 def _wrapped(text: str, label: str) -> list[str]:

@@ -265,6 +265,9 @@ def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None 
     Log('simulated': 500 samples, 9.98 s, 11 channels)
     """
     model = model_of(model, "simulate")
+    if not isinstance(motion, Trajectory):
+        raise ProblemError(f"this is a {type(motion).__name__}, not a motion", where="simulate",
+                           remedy="give a Trajectory, such as random_trajectory(model, duration=30, rate=50, seed=1)")
     psi = model.parameters.nominal if psi is None else psi
     rng = np.random.default_rng(seed)
     machine = model.machine

@@ -15,10 +15,13 @@ from hydroopt.weighing.recursion import Recursion, Weighed
 
 THRESHOLD = 30.0
 """Likelihood ratio (twice its logarithm) from which the load has changed."""
-SETTLED = 5
-"""Number of samples that would show a further change, and do not, after which a new load is weighed."""
+SETTLED = 5.0
+"""How often samples would have shown a further change, and did not, before a new load is weighed; several that show
+little count as one, by the squares of what each shows."""
 RESTING = 5
 """Number of samples that do not show the load after which it counts as not weighed any more."""
+FORGOTTEN = 1 / RESTING
+"""Part of what samples have shown that each further one leaves out."""
 FEWEST = 6
 """Number of equations of moving joints that a load needs at least."""
 CONTRADICTED = 3.0
@@ -76,7 +79,8 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
     """
     kernel, full_scale = equations.smoothed.kernel, equations.scale.load.full_scale
     taring = round(tare / (kernel.stride * kernel.step))
-    number = start = settled = 0
+    number = start = calm = 0
+    settled = shown = 0.0
     changing, contradicted, resting = not taring, False, RESTING
     known = equations.scale.own
     tared, sought = known, Recursion(equations, known)
@@ -96,14 +100,16 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
         if i >= start:
             noticeable = sought.take(i)
             found = sought.solved()
-        telling = noticeable < NOTICED * full_scale
-        resting, settled = 0 if telling else resting + 1, settled + telling
+        shows = min(1.0, (NOTICED * full_scale / noticeable) ** 2)
+        shown = (1 - FORGOTTEN) * shown + shows
+        resting, settled, calm = 0 if shown >= 1 else resting + 1, settled + shows, calm + (i >= start)
         change = found.change
         if i >= start and not changing and change.ratio > THRESHOLD and abs(change.size) > NOTICED * full_scale:
-            number, changing, settled = number + 1, True, 0
+            number, changing, settled, calm = number + 1, True, 0.0, 0
             start = i + max(1, LASTS - change.ago)
         elif i >= start and changing and change.ratio > GOES_ON:
-            start, settled = i + 1, 0
+            number += calm > LASTS  # that is another change
+            start, settled, calm = i + 1, 0.0, 0
         changing = changing and settled < SETTLED
         status = _status(found, sought.rows, full_scale, needed)
         if changing:

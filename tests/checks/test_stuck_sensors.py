@@ -124,3 +124,10 @@ def test_angles_that_the_logger_repeats_are_named_and_dropped(every: int, tmp_pa
     kept = read_log(tmp_path / "slow.csv", treatment={"held": "drop"})
     np.testing.assert_array_equal(kept.t, log.t[::every])
     assert examine(model, kept) == ()
+
+
+def test_what_was_not_mapped_is_the_first_thing_to_do() -> None:
+    model, log = sound("wheel_loader")
+    lacking = replace(log, channels={name: x for name, x in log.channels.items() if name != "lift_cylinder.p_rod"})
+    found = check_logs(model, [lacking])
+    assert found.verdict.next_steps[0].text.startswith("Map or record lift_cylinder.p_rod: without, no equation of")

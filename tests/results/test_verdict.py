@@ -9,7 +9,7 @@ import pytest
 
 from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
-from hydroopt.results.verdict import LINES, THRESHOLDS, Action, NextStep, Purpose, Usable, Verdict, judged
+from hydroopt.results.verdict import LINES, THRESHOLDS, Action, NextStep, Purpose, Usable, Use, Verdict, judged
 
 USES = (judged(Purpose.FORCES, "boom_cylinder", 2600.0, "N", 0.025, condition="on 1 held-out log"),
         judged(Purpose.FORCES, "stick_cylinder", 9000.0, "N", 0.16, condition="on 1 held-out log"),
@@ -48,6 +48,14 @@ def test_usable_for_a_part_and_for_all() -> None:
     assert VERDICT.usable(Purpose.FORCES, "boom_cylinder")
     assert not VERDICT.usable(Purpose.FORCES)
     assert not VERDICT.usable(Purpose.LOAD)
+
+
+def test_figures_stand_by_their_reason() -> None:
+    uses = (Use(Purpose.MASSES, "swing.m", Usable.NO, reason="not identified by any motion"),
+            judged(Purpose.MASSES, "boom.m", 400.0, "kg", 0.2, condition="95 %"),
+            Use(Purpose.MASSES, "base.m", Usable.NO, reason="not identified by any motion"))
+    card = " ".join(Verdict("crane: check", Status.OK, "", uses).card().split())
+    assert "swing.m, base.m: not identified by any motion; boom.m ±400 kg (20 %): more than 10 % of its value" in card
 
 
 def test_json_says_the_same() -> None:

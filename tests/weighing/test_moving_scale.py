@@ -217,6 +217,20 @@ def test_an_empty_machine_has_no_load(made: Scale, machine: SimulatedMachine) ->
     assert "No load was found from" in render(found)
 
 
+def test_a_light_load_that_is_dumped_is_not_taken_for_the_empty_machine(machine: SimulatedMachine) -> None:
+    """Each sample shows less of a small full scale than counts as a change: only several together settle."""
+    load = replace(LOAD, full_scale=700.0, centre_std=(0.1, 0.1, 0.1))
+    motion = ho.random_trajectory(machine.model, duration=34.0, rate=50.0, seed=6)
+    carried = pick_up(motion.t, 350.0, 12.0, 0.5) - pick_up(motion.t, 350.0, 24.0, 0.5)
+    found = weigh(scale(machine.model, machine.calibration(5), load),
+                  machine.log(Session(motion, carried, CENTRE, (0.0, 0.0), 0.0), 6))
+    assert len(found.loads) == 2
+    for each, mass in zip(found.loads, (350.0, 0.0), strict=True):
+        assert each.ok
+        assert abs(each.mass - mass) < 4 * each.mass_std
+        assert each.mass_std < 20
+
+
 def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
     motion = ho.random_trajectory(machine.model, duration=12.0, rate=50.0, seed=9)
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)

@@ -628,8 +628,8 @@ static {{ p }}_status_t advance(const {{ p }}_constants_t *constants, const {{ p
     const int weighing = (i >= scale->start) ? 1 : 0;
     const real noticed = NOTICED * params->full_scale;
     real noticeable = {{ 0 | number }};
+    real shows = {{ 0 | number }};
     {{ p }}_status_t status = {{ P }}_OK;
-    int telling;
     scale->next++;
     if (sample[0] > {{ 0 | number }}) { /* errors before a gap tell nothing about those after it */
         for (size_t k = 0U; k < (size_t)WINDOW; k++) {
@@ -654,22 +654,29 @@ static {{ p }}_status_t advance(const {{ p }}_constants_t *constants, const {{ p
         noticeable = take(params, scale, &made, 0);
         weigh(params, scale);
     }
-    telling = ((noticeable > {{ 0 | number }}) && (noticeable < noticed)) ? 1 : 0;
-    scale->resting = (telling != 0) ? 0U : (scale->resting + ((scale->resting < (uint32_t)RESTING) ? 1U : 0U));
-    scale->settled += (uint32_t)telling;
+    if (noticeable > {{ 0 | number }}) {
+        shows = (noticeable < noticed) ? {{ 1 | number }} : square(noticed / noticeable);
+    }
+    scale->evidence = (({{ 1 | number }} - FORGOTTEN) * scale->evidence) + shows;
+    scale->resting = (scale->evidence >= {{ 1 | number }}) ? 0U : (scale->resting + ((scale->resting < (uint32_t)RESTING) ? 1U : 0U));
+    scale->settled += shows;
+    scale->calm += (weighing != 0) ? 1U : 0U;
     if ((weighing != 0) && (scale->changing == 0U) && (scale->change_ratio > THRESHOLD)
         && (fabs{{ f }}(scale->change_size) > noticed)) {
         scale->shown.load++;
         scale->changing = 1U;
-        scale->settled = 0U;
+        scale->settled = {{ 0 | number }};
+        scale->calm = 0U;
         scale->start = i + (((uint32_t)LASTS > (scale->change_ago + 1U)) ? ((uint32_t)LASTS - scale->change_ago) : 1U);
     } else if ((weighing != 0) && (scale->changing != 0U) && (scale->change_ratio > GOES_ON)) {
+        scale->shown.load += (scale->calm > (uint32_t)LASTS) ? 1U : 0U; /* that is another change */
         scale->start = i + 1U;
-        scale->settled = 0U;
+        scale->settled = {{ 0 | number }};
+        scale->calm = 0U;
     } else {
         /* nothing has changed */
     }
-    scale->changing = ((scale->changing != 0U) && (scale->settled < (uint32_t)SETTLED)) ? 1U : 0U;
+    scale->changing = ((scale->changing != 0U) && (scale->settled < SETTLED)) ? 1U : 0U;
     scale->shown.weighable = judged(params, scale);
     return status;
 }
@@ -727,7 +734,9 @@ static {{ p }}_status_t advance(const {{ p }}_constants_t *constants, const {{ p
     scale->taring = (uint32_t)((duration / PERIOD) + {{ 0.5 | number }});
     scale->start = 0U;
     scale->changing = (scale->taring == 0U) ? 1U : 0U;
-    scale->settled = 0U;
+    scale->settled = {{ 0 | number }};
+    scale->evidence = {{ 0 | number }};
+    scale->calm = 0U;
     scale->resting = (uint32_t)RESTING;
     scale->contradicted = 0U;
     scale->change_ago = 0U;

@@ -96,12 +96,14 @@ typedef struct {
     uint32_t taring; /* how many of them are of the empty machine */
     uint32_t start; /* the one from which the load is weighed */
     uint32_t changing;
-    uint32_t settled;
+    uint32_t calm; /* smoothed samples since the last change */
     uint32_t resting;
     uint32_t contradicted;
     uint32_t since; /* smoothed samples since a change can be sought */
     uint32_t rows; /* equations of this load */
     uint32_t change_ago;
+    {{ type }} settled; /* how often samples would have shown a further change */
+    {{ type }} evidence; /* what the last ones show of the load */
     {{ type }} change_ratio;
     {{ type }} change_size;
     {{ p }}_scale_reading_t shown;

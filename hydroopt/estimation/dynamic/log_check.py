@@ -32,7 +32,7 @@ from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
-METHOD = "the information of the motion"
+METHOD = "weighted least squares"
 LITTLE_RANGE = 0.2
 """Part of a joint's range below which its motion tells little: gravity's change of direction stays within noise."""
 
@@ -144,6 +144,11 @@ class LogCheck(Answer):
             return ()
         steps: list[NextStep] = []
         logs = " ".join(data.log.path or data.log.name for data in self.problem.experiments)
+        for each in self.diagnostics:
+            if each.kind is Kind.FORCE_NOT_MEASURED:
+                steps.append(NextStep(Action.MEASURE, (
+                    f"Map or record {each.evidence['channels']}: without, no equation of "
+                    f"{', '.join(each.subject)} counts.")))
         weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
         if weak:
             steps.append(NextStep(Action.DRIVE, (

@@ -122,7 +122,7 @@ class Payload(TwoSessionAnswer):
         if self.p_value > NO_LOAD:
             return Use(Purpose.LOAD, one.name, Usable.UNTESTED, reason="no load was detected")
         if not one.identifiable or not np.isfinite(half):
-            return Use(Purpose.LOAD, one.name, Usable.NO, reason="these motions do not determine it")
+            return Use(Purpose.LOAD, one.name, Usable.NO, reason="not determined by these motions")
         if one.name != self.mass.name:
             return Use(Purpose.LOAD, one.name, Usable.YES, half, one.unit, condition=condition)
         return judged(Purpose.LOAD, one.name, half, one.unit, half / abs(one.value), condition=condition)

@@ -135,7 +135,7 @@ class IdentificationProblem(Shown):
 
     def with_prior(self, name: str, expression: str | Expression, *, value: float | None = None,
                    sigma: float | None = None) -> IdentificationProblem:
-        """With a linear expression (or one parameter's name) known to be ``value ± sigma``, in SI.
+        """With a linear expression, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI.
 
         Without these a text states all, with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It is added to the priors
         of the machine file.
@@ -148,7 +148,8 @@ class IdentificationProblem(Shown):
         if value is None or sigma is None:
             prior = statements.read_prior(self.parameters, name, str(expression))
         else:
-            prior = linear_prior(self.parameters, name, expression, value, sigma)
+            total = statements.sum_of(self.parameters, name, expression)
+            prior = linear_prior(self.parameters, name, total, value, sigma)
         return replace(self, priors=(*self.priors, prior))
 
     def with_total_mass(self, name: str, bodies: Sequence[str], value: float,

@@ -145,7 +145,7 @@ def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
         row = parameters[names[k]]
         never = found.structural.category[k] == NONE
         yield _mass(row.name, row.value, row.ci95, row.information_from_data or 0.0,
-                    "no motion identifies it" if never else "the data do not separate it from others", row)
+                    "not identified by any motion" if never else "not separable from others by these data", row)
     prior = found.prior_std
     for total in found.total_masses:
         if len(total.bodies) < 2:
@@ -153,7 +153,7 @@ def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
         before = float(np.linalg.norm(prior[found.problem.parameters.select(f"{one}.m" for one in total.bodies)]))
         share = 1 - (total.std / before) ** 2 if np.isfinite(before) and before else 1.0
         interval = (total.low, total.high) if np.isfinite(total.low) else None
-        yield _mass(f"{total.link} with pinned ends", total.value, interval, share, "the data do not determine it")
+        yield _mass(f"{total.link} with pinned ends", total.value, interval, share, "not determined by the data")
 
 
 def _mass(name: str, value: float | None, interval: tuple[float, float] | None, from_data: float, unknown: str,
@@ -177,8 +177,9 @@ def expected_mass(row: ParameterRow) -> Use:
         row: of a design, whose `std` is the one to expect and whose value is the nominal one.
     """
     if row.std is None or not row.nominal or row.identifiability == NONE:
-        return Use(Purpose.MASSES, row.name, Usable.NO, reason="no motion identifies it" if row.identifiability == NONE
-                   else "this motion does not separate it from others")
+        never = row.identifiability == NONE
+        return Use(Purpose.MASSES, row.name, Usable.NO,
+                   reason="not identified by any motion" if never else "not separable from others by this motion")
     half, from_data = NORMAL * row.std, row.information_from_data or 0.0
     return judged(Purpose.MASSES, row.name, half, "kg", half / abs(row.nominal), condition="expected 95 % intervals",
                   reason=_OF_PRIOR * (from_data < FROM_DATA))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import casadi as ca
 import numpy as np
@@ -27,19 +28,21 @@ class Prior:
     sigma: float
 
 
-def linear_prior(parameters: ParameterSet, name: str, expression: str | Expression, value: float,
-                 sigma: float) -> Prior:
-    """The prior of a linear expression, or of one parameter by its name.
+def linear_prior(parameters: ParameterSet, name: str, expression: Expression, value: float, sigma: float) -> Prior:
+    """The prior of a linear expression of parameters in SI.
 
     Raises:
         ProblemError: the expression is not linear in the parameters, or sigma is not positive.
     """
+    if not (isinstance(value, Real) and isinstance(sigma, Real)):
+        raise ProblemError("value and sigma are no numbers", where=f"prior '{name}'", remedy=(
+            "give them in SI, or state all in a text such as 'boom.m = 1900 +- 300 kg'"))
     if not (0 < sigma < np.inf and np.isfinite(value)):
         raise ProblemError(f"{value} ± {sigma} is not a prior", where=f"prior '{name}'",
                            remedy="give a finite value and a positive sigma, or a constraint")
     symbols = ca.SX.sym("p", len(parameters))
     named = Named(parameters, lambda k: symbols[k])
-    result = ca.SX(named[expression] if isinstance(expression, str) else expression(named))
+    result = ca.SX(expression(named))
     row = ca.jacobian(result, symbols)
     if result.shape != (1, 1) or ca.depends_on(row, symbols) or not row.nnz():
         raise ProblemError("the expression is not one linear sum of parameters", where=f"prior '{name}'",
@@ -61,7 +64,7 @@ def with_priors(parameters: ParameterSet, priors: Sequence[Prior]) -> Array:
 
     >>> import hydroopt as ho
     >>> parameters = ho.Model(ho.load_machine("cat215b")).parameters
-    >>> scales = linear_prior(parameters, "scales", "boom.m", 1520.0, 20.0)
+    >>> scales = linear_prior(parameters, "scales", lambda p: p["boom.m"], 1520.0, 20.0)
     >>> before, after = (float(with_priors(parameters, some)[parameters.index("boom.m")]) for some in ((), (scales,)))
     >>> round(before, 1), round(after, 2), round((before**-2 + 20**-2) ** -0.5, 2)
     (366.0, 19.97, 19.97)

@@ -13,6 +13,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import conditions
 from hydroopt.estimation.inference.conditions import Condition
+from hydroopt.estimation.inference.constraints import Expression
 from hydroopt.estimation.inference.priors import Prior, linear_prior
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -103,7 +104,7 @@ def read_prior(parameters: ParameterSet, name: str, text: str) -> Prior:
     (1520.0, 20.0)
     """
     where = f"prior '{name}'"
-    stated = re.fullmatch(r"([^=]+)=([^=]+?)\+-([^=]+)", text)
+    stated = re.fullmatch(r"([^=]+)=([^=]+?)(?:\+-|\+/-|±)([^=]+)", text)
     if stated is None:
         raise ProblemError("this is not a sum of parameters = value +- standard deviation", where=where,
                            remedy=f"write e.g. {PRIOR}")
@@ -112,9 +113,30 @@ def read_prior(parameters: ParameterSet, name: str, text: str) -> Prior:
     if " " not in mean:
         mean = f"{mean} {spread.partition(' ')[2]}"
     mean_si, sigma = (to_si(each, unit, where=where) for each in (mean, spread))
+    return linear_prior(parameters, name, _expression(parameters, row), mean_si + value, sigma)
+
+
+def sum_of(parameters: ParameterSet, name: str, given: str | Expression) -> Expression:
+    """The linear sum of parameters [SI] that a text such as ``"boom.m + 0.5*stick.m"`` states; a function as it is.
+
+    Raises:
+        ProblemError, UnitError: as of `read_constraint`.
+
+    >>> import hydroopt as ho
+    >>> parameters = ho.Model(ho.load_machine("cat215b")).parameters
+    >>> sum_of(parameters, "scales", "boom.m + 2*stick.m")({"boom.m": 1000.0, "stick.m": 300.0})
+    1600.0
+    """
+    if not isinstance(given, str):
+        return given
+    where = f"prior '{name}'"
+    row, right, _ = _row(parameters, _sum(parameters, given, where), where)
+    return _expression(parameters, row, -right)
+
+
+def _expression(parameters: ParameterSet, row: Array, constant: float = 0.0) -> Expression:
     sizes = {parameters.names[k]: float(row[k]) for k in np.flatnonzero(row)}
-    return linear_prior(parameters, name, lambda p: sum(size * p[each] for each, size in sizes.items()),
-                        mean_si + value, sigma)
+    return lambda p: sum(size * p[each] for each, size in sizes.items()) + constant
 
 
 def _row(parameters: ParameterSet, total: _Sum, where: str) -> tuple[Array, float, str]:

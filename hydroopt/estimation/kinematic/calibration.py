@@ -113,7 +113,7 @@ class Calibration(KinematicSolution, Answer):
         end = judged(Purpose.POSITION, workspace.point, half, "m", half / extent if extent else np.nan,
                      condition=condition, reason=unknown)
         return (end, *(determined(Purpose.DIMENSIONS, each, condition="95 % intervals",
-                                  unknown="the poses do not determine it") for each in self.parameters.rows))
+                                  unknown="not determined by the poses") for each in self.parameters.rows))
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:

@@ -116,7 +116,7 @@ class SensorCalibration(Answer):
         imus, numbers = {imu.name for imu in self.problem.machine.imus}, self.problem.machine.numbers
         return tuple(determined(
             Purpose.SENSORS if name not in numbers or name.partition(".")[0] in imus else Purpose.DIMENSIONS, each,
-            condition="95 % intervals", unknown="motion and postures hardly determine it")
+            condition="95 % intervals", unknown="hardly determined by motion and postures")
             for name, each in self.parameters.items())
 
     @property

@@ -105,7 +105,7 @@ class PosePlan(Answer):
     def uses(self) -> tuple[Use, ...]:
         """Which dimensions a calibration with these poses will determine."""
         return tuple(determined(Purpose.DIMENSIONS, each, condition="expected 95 % intervals",
-                                unknown="these poses do not determine it")
+                                unknown="not determined by these poses")
                      for each in self.parameters.rows if each.identifiability != "fixed")
 
     @property
