@@ -158,9 +158,9 @@ def test_an_arrow_table_is_a_frame() -> None:
 def test_a_problem_refuses_what_is_no_log(given) -> None:
     machine = load_machine("cat215b")
     for build in (identification_problem, hydraulic_problem):
-        with pytest.raises(LogError, match=r"this is a \w+, not a log; make one by Log\.from_frame"):
+        with pytest.raises(LogError, match=r"this is a \w+, not a log; read one by read_log"):
             build(machine, given)
-    with pytest.raises(LogError, match=r"this is a \w+, not a table of poses; make one by Poses\.from_frame"):
+    with pytest.raises(LogError, match=r"this is a \w+, not a table of poses; read one by read_poses"):
         calibration_problem(machine, given)
     with pytest.raises(LogError, match=r"there is no channel 'swing\.q'"):  # one log stands for a list of it
         identification_problem(machine, Log.from_frame(frame()))

@@ -137,8 +137,7 @@ class IdentificationProblem(Shown):
                    sigma: float | None = None) -> IdentificationProblem:
         """With a linear expression, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI.
 
-        Without these a text states all, with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It is added to the priors
-        of the machine file.
+        Without these a text states all with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It joins the file's priors.
 
         Raises:
             ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
