@@ -26,6 +26,8 @@ from hydroopt.errors import ProblemError
 from hydroopt.input_file import is_directory
 
 KINDS = ("pi", "feedforward", "lqg")
+UNASKED = KINDS[:2]
+"""What is tried unless it is said: LQG is 1.2 times as far off as the feedforward on some machines, 3 times on others."""
 
 
 def control(
@@ -39,7 +41,7 @@ def control(
         ))] = "random",
     rate: Rate = None,
     controller: Annotated[list[str] | None, typer.Option(help=(
-        f"Controller to try, {', '.join(KINDS)}; repeatable; all if not given."))] = None,
+        f"Controller to try, {', '.join(KINDS)}; repeatable; {' and '.join(UNASKED)} if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
         "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.6 keeps a gain margin of 8.5 dB "
         "and a phase margin of 36 degrees, 1.3 of 12.7 dB and 45 degrees."))] = 1.6,
@@ -78,7 +80,7 @@ def control(
     from hydroopt.simulation.reference_motion import reference_motion
 
     began = time.perf_counter()
-    kinds = tuple(controller or KINDS)
+    kinds = tuple(controller or UNASKED)
     for kind in kinds:
         if kind not in KINDS:
             raise ProblemError(f"'{kind}' is not a controller", where="--controller", remedy=f"use {', '.join(KINDS)}")

@@ -28,7 +28,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "path.csv").write_text(path(duration=6.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["hydroopt", "control", "patu655_lift", "--motion", str(place / "path.csv"),
-                                    "-o", str(place / "out"), "--seed", "3", "--quiet"])
+                                    "-o", str(place / "out"), "--seed", "3", "--quiet",
+                                    *(word for kind in ("pi", "feedforward", "lqg") for word in ("--controller", kind))])
         with pytest.raises(SystemExit) as ended:
             cli.main()
         assert ended.value.code == 0
