@@ -27,7 +27,8 @@ from hydroopt.input_file import is_directory
 
 KINDS = ("pi", "feedforward", "lqg")
 UNASKED = KINDS[:2]
-"""What is tried unless it is said: LQG is 1.2 times as far off as the feedforward on some machines, 3 times on others."""
+"""What is tried where nothing is asked for: LQG is 1.2 times as far off as the feedforward on some machines, 3 times on
+others."""
 
 
 def control(
@@ -43,8 +44,8 @@ def control(
     controller: Annotated[list[str] | None, typer.Option(help=(
         f"Controller to try, {', '.join(KINDS)}; repeatable; {' and '.join(UNASKED)} if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
-        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.6 keeps a gain margin of 8.5 dB "
-        "and a phase margin of 36 degrees, 1.3 of 12.7 dB and 45 degrees."))] = 1.6,
+        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
+        "and a phase margin of 45 degrees, 1.6 of 8.5 dB and 36 degrees."))] = 1.3,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
     drawn: Annotated[int, typer.Option("--draws", min=0, max=1000, help=(
         "Machines to draw from the file's confidences as well; each is identified from a test of its valves and "
@@ -86,7 +87,7 @@ def control(
             raise ProblemError(f"'{kind}' is not a controller", where="--controller", remedy=f"use {', '.join(KINDS)}")
     if not 1.05 <= sensitivity <= 4:
         raise ProblemError(f"gains cannot be tuned to a sensitivity of {sensitivity:g}", where="--sensitivity",
-                           remedy="give a number from 1.05 to 4, such as 1.6")
+                           remedy="give a number from 1.05 to 4, such as 1.3")
     if not 0 < gain <= 1000:
         raise ProblemError(f"gains cannot be multiplied by {gain:g}", where="--gain", remedy="give a number such as 1")
     refuse_directory(output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
