@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "matplotlib_import", "progress"),
-    ("extras", "unit_expressions", "bounded_minimum"),
+    ("extras", "unit_expressions", "bounded_minimum", "lapack", "spectra", "tails"),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("spatial",),
     ("kernels",),

@@ -12,6 +12,7 @@ import numpy as np
 
 from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.spatial.inertia import Array
+from hydroopt.spectra import windowed_median
 
 FEW = 2**14
 """Number of samples below which loading the compiled network does not pay."""
@@ -28,9 +29,7 @@ def running_median(x: Array, width: int) -> Array:
     count = len(x)
     run = _compiled(width) if count >= FEW else None
     if run is None:
-        from scipy.ndimage import median_filter  # noqa: PLC0415 (import cost)
-
-        return np.asarray(median_filter(x, width, mode="nearest"))
+        return windowed_median(x, width)
     padded = np.empty(count + width + LANES)
     half = width // 2
     padded[:half], padded[half : half + count], padded[half + count :] = x[0], x, x[-1]

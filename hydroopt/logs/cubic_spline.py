@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_banded
 
+from hydroopt.lapack import banded_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -35,7 +35,7 @@ def cubic_spline(t: Array, values: Array, times: Array) -> Array:
     right[0] = ((h[0] + 2 * first) * h[1] * rise[0] + h[0] ** 2 * rise[1]) / first
     bands[1, -1], bands[2, -2] = h[-2], last
     right[-1] = (h[-1] ** 2 * rise[-2] + (2 * last + h[-1]) * h[-2] * rise[-1]) / last
-    slope = solve_banded((1, 1), bands, right)
+    slope = banded_solved(1, 1, bands, right)
     k = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
     u, step = ((times - t[k]) / h[k])[:, None], h[k][:, None]
     off, on = step * (slope[k] - rise[k]), step * (slope[k + 1] - rise[k])

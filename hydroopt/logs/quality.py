@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from hydroopt.kernels.running_median import running_median
 from hydroopt.logs.channels import is_force
@@ -64,7 +63,7 @@ def out_of_order(t: Array) -> Mask:
     """
     if np.all(np.diff(t) >= 0):
         return np.zeros(t.size, bool)
-    stray = median_filter(t, _WINDOW, mode="nearest") != t
+    stray = running_median(t, _WINDOW) != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
         kept = np.where(stray, -np.inf, t)
         before, after = np.maximum.accumulate(kept), np.inf

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
@@ -233,11 +232,12 @@ class Recording(Shown):
         group = self.group(channel)
         group = group.corrected(self.clocks.get(group.name, Clock()))
         behind, weight = _neighbours(t, group)
-        rows = np.arange(len(t))
-        made = sp.csr_array((np.concatenate([1 - weight, weight]), (np.tile(rows, 2), np.append(behind - 1, behind))),
-                            shape=(len(t), group.size))
-        second = made[:-2] - 2 * made[1:-1] + made[2:]
-        shown = float(second.power(2).sum()) / max(len(t) - 2, 1)
+        # second differences of the interpolation's rows: six weights each, some of which belong to one sample
+        weights, places = np.stack([1 - weight, weight]), np.stack([behind - 1, behind])
+        size = np.concatenate([weights[:, :-2], -2 * weights[:, 1:-1], weights[:, 2:]])
+        place = np.concatenate([places[:, :-2], places[:, 1:-1], places[:, 2:]])
+        shown = sum(float(np.sum(size[i] * size[j] * (place[i] == place[j]))) for i in range(6) for j in range(6))
+        shown /= max(len(t) - 2, 1)
         return float(np.sqrt(6 / shown * group.step / np.median(np.diff(t)))) if shown > 0 else 1.0
 
     @property

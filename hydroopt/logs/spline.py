@@ -15,14 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import comb, factorial
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from hydroopt.bounded_minimum import bounded_minimum
+from hydroopt.lapack import banded_cholesky, cholesky_solved
+from hydroopt.logs.windowed_rows import WindowedRows
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
@@ -97,8 +97,9 @@ class SmoothSpline:
     def pull_back(self, rows: Sequence[Array]) -> Array:
         """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
         basis = self.basis
-        pulled = sum((row @ basis.derivative(basis.x, order)) / basis.spacing**order for order, row in enumerate(rows))
-        return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled).T)).T
+        pulled = sum(basis.derivative(basis.x, order).gathered(row.T) / basis.spacing**order
+                     for order, row in enumerate(rows))
+        return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled))).T
 
 
 def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
@@ -127,7 +128,7 @@ def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, noise: float | Non
 def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None) -> float:
     """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes, others for each piece."""
     n, rng = sum(y.size for y in values), np.random.default_rng(0)
-    rights = [basis.design.T @ np.column_stack([y, rng.choice([-1.0, 1.0], (y.size, _PROBES))])
+    rights = [basis.design.gathered(np.column_stack([y, rng.choice([-1.0, 1.0], (y.size, _PROBES))]))
               for basis, y in zip(bases, values, strict=True)]
 
     def risk(log_weight: float) -> float:
@@ -158,31 +159,29 @@ class Basis:
         first = np.floor(first + 1e-6)  # a knot that a sample stands on up to rounding is the first, or the last
         self.start, self.intervals = grid.origin + first * self.spacing, max(1, int(np.ceil(last - first - 1e-6)))
         self.x = self.places(t)
-        self.design: Any = self.derivative(self.x, 0)
-        self.gram = _band(self.design.T @ self.design)
+        self.design = self.derivative(self.x, 0)
+        self.gram = self.design.gram
 
     def places(self, t: Array) -> Array:
         """Times [s] in knot units from the first knot, none beyond the ends."""
         return np.asarray(np.clip((t - self.start) / self.spacing, 0.0, float(self.intervals)))
 
-    def derivative(self, x: Array, order: int) -> Any:
+    def derivative(self, x: Array, order: int) -> WindowedRows:
         """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
-        powers, columns, ends = self._powers if x is self.x else self._powers_at(x)
-        values = powers[:, : _ORDER - order] @ _derived(order)
-        return sp.csr_array((values.ravel(), columns, ends), shape=(x.size, self.intervals + _DEGREE))
+        powers, cell = self._powers if x is self.x else self._powers_at(x)
+        return WindowedRows(powers[:, : _ORDER - order] @ _derived(order), cell, self.intervals + _DEGREE)
 
     @cached_property
-    def _powers(self) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
+    def _powers(self) -> tuple[Array, NDArray[np.int32]]:
         return self._powers_at(self.x)
 
-    def _powers_at(self, x: Array) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
-        """Powers (N, 6) of the places in their knot intervals, and which splines live there, as of a sparse matrix."""
+    def _powers_at(self, x: Array) -> tuple[Array, NDArray[np.int32]]:
+        """Powers (N, 6) of the places in their knot intervals, and these (N,)."""
         cell = np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
         powers = np.ones((_ORDER, x.size))
         for k in range(1, _ORDER):
             np.multiply(powers[k - 1], x - cell if k == 1 else powers[1], out=powers[k])
-        columns = cell[:, None] + np.arange(_ORDER, dtype=np.int32)
-        return powers.T, columns.ravel(), np.arange(0, columns.size + 1, _ORDER, dtype=np.int32)
+        return powers.T, cell
 
     @cached_property
     def penalty(self) -> Array:
@@ -208,17 +207,18 @@ class Basis:
 
     def spline(self, y: Array, chosen: Filter) -> SmoothSpline:
         """The smoothing of samples y (N,) at the basis's times."""
-        coefficients = self.solve(chosen, self.design.T @ y)
+        coefficients = self.solve(chosen, self.design.gathered(y))
         return SmoothSpline(coefficients, chosen, self.bandwidth(chosen),
                             float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
 
     def solve(self, chosen: Filter, right: Array) -> Array:
         """Coefficients of the penalised normal equations, then of those of what each smoothing leaves."""
-        factor = (cholesky_banded(self.gram + 10.0**chosen.log_weight * self.penalty, lower=True), True)
-        coefficients = cho_solve_banded(factor, right)
+        factor = banded_cholesky(self.gram + 10.0**chosen.log_weight * self.penalty)
+        coefficients = cholesky_solved(factor, right)
         for _ in range(chosen.passes - 1):
-            coefficients = coefficients + cho_solve_banded(factor, right - self.design.T @ (self.design @ coefficients))
-        return np.asarray(coefficients)
+            left = right - self.design.gathered(self.design @ coefficients)
+            coefficients = coefficients + cholesky_solved(factor, left)
+        return coefficients
 
 
 def wider(passes: int) -> float:
@@ -249,12 +249,3 @@ def _derived(order: int) -> Array:
     for _ in range(order):
         matrix = matrix[1:] * np.arange(1, len(matrix))[:, None]
     return matrix
-
-
-def _band(matrix: Any) -> Array:
-    """Lower band storage (`scipy.linalg.cholesky_banded`) of a symmetric matrix of half bandwidth _DEGREE."""
-    n = matrix.shape[0]
-    band = np.zeros((_DEGREE + 1, n))
-    for offset in range(_DEGREE + 1):
-        band[offset, : n - offset] = matrix.diagonal(-offset)
-    return band

@@ -52,7 +52,7 @@ class Smoother:
             for grid in dict.fromkeys(self.grids):
                 basis = Basis(t[span], grid)
                 joints = [j for j, own in enumerate(self.grids) if own == grid]
-                right = basis.design.T @ q[span, joints]
+                right = basis.design.gathered(q[span, joints])
                 coefficients = np.column_stack([basis.solve(self.filters[j], right[:, k])
                                                 for k, j in enumerate(joints)])
                 for order in range(3):

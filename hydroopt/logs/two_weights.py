@@ -12,8 +12,8 @@ noise of positions, σ in each sample, leaves ``σ·√(2·h̄·∫ (2πf)^(2k)�
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solveh_banded
 
+from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -33,18 +33,18 @@ def two_weights(t: Array, y: Array, speed: float, acceleration: float) -> Array:
     """
     steps = np.diff(t)
     banded = np.zeros((3, len(t)))
-    banded[2] = np.mean(steps)
-    banded[2, :-1] += speed / steps
-    banded[2, 1:] += speed / steps
-    banded[1, 1:] -= speed / steps
+    banded[0] = np.mean(steps)
+    banded[0, :-1] += speed / steps
+    banded[0, 1:] += speed / steps
+    banded[1, :-1] -= speed / steps
     before, after = steps[:-1], steps[1:]
     both = before + after
     rows = np.array([2 / (before * both), -2 / (before * after), 2 / (after * both)])  # of q̈ at the inner samples
     weight = acceleration * both / 2
     for i in range(3):
         for j in range(i, 3):
-            banded[2 - (j - i), j : len(t) - 2 + j] += weight * rows[i] * rows[j]
-    q = np.asarray(solveh_banded(banded, np.mean(steps) * y))
+            banded[j - i, i : len(t) - 2 + i] += weight * rows[i] * rows[j]
+    q = cholesky_solved(banded_cholesky(banded), np.mean(steps) * y)
     inner = rows[0, :, None] * q[:-2] + rows[1, :, None] * q[1:-1] + rows[2, :, None] * q[2:]
     return np.stack([q, np.gradient(q, t, axis=0), np.concatenate([inner[:1], inner, inner[-1:]])])
 

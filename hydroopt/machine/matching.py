@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 
 def matched(moved: Mapping[str, tuple[str, ...]], driven: Collection[str]) -> dict[str, str]:
@@ -60,9 +58,12 @@ def entangled(moved: Mapping[str, tuple[str, ...]], mains: Mapping[str, str],
     (('lift', 'tilt'),)
     """
     place = {joint: k for k, joint in enumerate(joints)}
-    pairs = [(place[mains[name]], place[joint]) for name, others in moved.items() for joint in others]
-    rows, columns = np.array(pairs, int).reshape(-1, 2).T
-    graph = csr_array((np.ones(len(pairs)), (rows, columns)), shape=(len(joints), len(joints)))
-    count, group = connected_components(graph, connection="strong") if joints else (0, np.zeros(0, int))
-    found = [tuple(joints[k] for k in np.flatnonzero(group == one)) for one in range(count)]
-    return tuple(sorted((each for each in found if len(each) > 1), key=lambda each: place[each[0]]))
+    moves = np.eye(len(joints), dtype=bool)
+    for name, others in moved.items():
+        for joint in others:
+            moves[place[mains[name]], place[joint]] = True
+    for _ in joints:  # in as many steps as it takes
+        moves = moves @ moves
+    each_other = moves & moves.T
+    groups = dict.fromkeys(tuple(joints[k] for k in np.flatnonzero(row)) for row in each_other)
+    return tuple(group for group in groups if len(group) > 1)

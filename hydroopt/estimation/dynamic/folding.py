@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
+from hydroopt import lapack
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.spatial.inertia import Array
 
@@ -120,7 +120,7 @@ def compact(rows: Array) -> Array:
 def _blocked_triangle(block: Array) -> Array:
     """R of the QR of a block (m, k) in Fortran's order with m ≥ k, which is written over."""
     k = block.shape[1]
-    factored, _, info = lapack.dgeqrt(min(PANEL, k), block, overwrite_a=True)
+    factored, _, info = lapack.routines.dgeqrt(min(PANEL, k), block, overwrite_a=True)
     assert info == 0
     return np.where(_upper(k), factored[:k], 0.0)
 

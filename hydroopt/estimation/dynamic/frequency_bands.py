@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, compact, folded_rows
@@ -14,6 +13,7 @@ from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
+from hydroopt.spectra import cosine_transform
 
 BLOCK = 2**13
 """Samples at most whose frequencies are computed together: of a stretch in memory and of a log in pieces alike."""
@@ -91,10 +91,10 @@ class ActuatorBands:
         repeated = [place[column] for column in self.contrast[actuator].tolist() if column in place]
         if len(repeated) < len(self.contrast[actuator]) or np.ptp(sign):
             block[k:-1] *= sign
-            return np.asarray(dct(block, norm="ortho", overwrite_x=True))
+            return cosine_transform(block)
         # in one half of the log C_i are columns of K_i, or their opposites
         for some in (block[:k], block[-1:]):
-            turned = dct(some, norm="ortho", overwrite_x=True)
+            turned = cosine_transform(some)
             if not np.may_share_memory(turned, some):
                 some[:] = turned
         np.multiply(sign[0], block[repeated], out=block[k:-1])

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from hydroopt.bounded_minimum import bounded_minimum
 from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
@@ -262,7 +261,10 @@ def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spect
     own = [log.channels()[i] for log in logs]
     each = [score_rows(one, spectrum, scale) for one in own]
     X = np.vstack([one.rows for one in each])[:, channel.columns]
-    Z = block_diag(*(one.rows[:, channel.columns[at]] * (force / size) for one in each))
+    Z = np.zeros((len(X), len(each) * len(at)))
+    first = np.cumsum([0, *(len(one.rows) for one in each)]).tolist()
+    for k, one in enumerate(each):
+        Z[first[k] : first[k + 1], k * len(at) : (k + 1) * len(at)] = one.rows[:, channel.columns[at]] * (force / size)
     basis = orthonormal(X * scale[channel.columns])
     left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
     left = left[:, singular > ROUNDING_TOLERANCE * singular[0]]

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
 
+from hydroopt import tails
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.spatial.inertia import Array
 
@@ -109,7 +109,7 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
                       for blocks, channel in zip(moved, channels, strict=True)])
     P, PP = prior[0] @ base, _gram(prior[0] @ base)
     for _ in range(ROUNDS):
-        inverse = linalg.inv(np.einsum("i,ibjk->jk", weight, products) + belief * PP)
+        inverse = np.linalg.inv(np.einsum("i,ibjk->jk", weight, products) + belief * PP)
         z = inverse @ (weight @ sides + belief * P.T @ prior[1])
         squares = np.array([[np.sum((rows @ z - block[:, -1]) ** 2)
                              for rows, block in zip(blocks, channel.rows, strict=True)]
@@ -199,7 +199,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
 
 def students(freedom: Array) -> Array:
     """Factors on rows of unit variance with which normal 95 % intervals are as wide as those of Student's t."""
-    return np.asarray(NORMAL / special.stdtrit(np.minimum(freedom, MANY), 0.975))
+    return np.asarray(NORMAL / tails.student_quantile(np.minimum(freedom, MANY)))
 
 
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
@@ -263,4 +263,4 @@ def f_test(sums: Array, shares: Array, freedom: Array) -> FTest:
     eta = min(max(k / np.sum(1 / combined(shares, freedom)), 2.0) * (k + 1) / 2, MANY)
     left = eta - k + 1
     statistic = float(sums @ sums) * left / (eta * k)
-    return FTest(statistic, k, left, float(special.fdtrc(k, left, statistic)))
+    return FTest(statistic, k, left, tails.fisher(k, left, float(statistic)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from hydroopt.spatial.inertia import Array
 
@@ -65,5 +64,5 @@ class Lagged:
 
 def _lagged_products(first: Array, second: Array, lags: int) -> Array:
     """Σ x_i·y_{i+k} of samples (N,) for lags k below `lags`."""
-    size = next_fast_len(len(first) + lags, real=True)
-    return np.asarray(irfft(np.conj(rfft(first, size)) * rfft(second, size), size)[:lags])
+    size = 1 << (len(first) + lags - 1).bit_length()
+    return np.asarray(np.fft.irfft(np.conj(np.fft.rfft(first, size)) * np.fft.rfft(second, size), size)[:lags])

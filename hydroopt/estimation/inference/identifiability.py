@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import svd
 
+from hydroopt.lapack import singular_values
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -138,7 +138,7 @@ def _null_space(scaled: Array, rank: int) -> Array:
     if not scaled.size:
         return np.zeros((scaled.shape[1], 0))
     # divide and conquer, NumPy's way, now and then does not converge where singular values are but rounding errors
-    return np.asarray(svd(scaled, lapack_driver="gesvd")[2][rank:].T)
+    return np.asarray(singular_values(scaled)[2][rank:].T)
 
 
 def structural(model: Model, *, samples: int = 400, seed: int = 0,

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.whitening import GaussianPosterior
+from hydroopt.lapack import given_alone
 from hydroopt.spatial.inertia import Array
 
 TOLERANCE = 1e-10
@@ -27,6 +29,23 @@ BY_COLUMN = np.lexsort(UPPER)
 """Entries of an upper triangle, which we have row by row, in Clarabel's order: column by column."""
 LENGTH = np.where(DIAGONAL, 1.0, np.sqrt(2.0))
 """What gives the triangle the length of the matrix."""
+
+
+class _ByColumn(NamedTuple):
+    """A sparse matrix column by column: what Clarabel reads of one of SciPy's, which take long to load."""
+
+    data: Array
+    indices: NDArray[np.int32]
+    indptr: NDArray[np.int32]
+    shape: tuple[int, int]
+    has_canonical_format: bool = True
+
+    @classmethod
+    def of(cls, matrix: Array) -> _ByColumn:
+        """The entries (m, k) that are not zero."""
+        columns, rows = np.nonzero(matrix.T)
+        ends = np.searchsorted(columns, np.arange(matrix.shape[1] + 1))
+        return cls(matrix[rows, columns], rows.astype(np.int32), ends.astype(np.int32), matrix.shape)
 
 
 class Nearest(NamedTuple):
@@ -73,7 +92,6 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     array([0., 2.])
     """
     import clarabel  # noqa: PLC0415 — loaded when it is used
-    from scipy import sparse  # noqa: PLC0415
 
     order = [BY_COLUMN if cone.matrix else slice(None) for cone in within]
     unit = [LENGTH if cone.matrix else np.ones(len(cone.constant)) for cone in within]
@@ -86,8 +104,9 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    found = clarabel.DefaultSolver(sparse.identity(len(target), format="csc"), -target, sparse.csc_matrix(-slope),
-                                   constant, kinds, settings).solve()
+    with given_alone():
+        found = clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope), constant,
+                                       kinds, settings).solve()
     status = str(found.status)
     if "PrimalInfeasible" in status:
         return None

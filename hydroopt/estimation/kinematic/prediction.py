@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, fdtrc
 
 from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
 from hydroopt.estimation.kinematic.observability import linearise
@@ -14,6 +13,7 @@ from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import KinematicSolution
 from hydroopt.logs.poses import Poses
 from hydroopt.spatial.inertia import Array
+from hydroopt.tails import chi_square, fisher
 
 NORMAL_95 = 1.959964
 """Standard deviations on each side of a 95 % interval."""
@@ -90,5 +90,5 @@ def prediction_test(solution: KinematicSolution, poses: Poses) -> PredictionTest
     if freedom <= 0:
         return PredictionTest(standardised, float("nan"), 1.0)
     trained = int(solution.linearised.rank.sum()) - known.rank
-    chance = fdtrc(freedom, trained, square / freedom) if measured and trained > 0 else chdtrc(freedom, square)
+    chance = fisher(freedom, trained, square / freedom) if measured and trained > 0 else chi_square(freedom, square)
     return PredictionTest(standardised, float(np.sqrt(square / freedom)), float(chance))

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -31,13 +31,13 @@ class Bordered:
     right_corner: Array
 
     @cached_property
-    def _factor(self) -> tuple[Array, bool]:
-        return cholesky_banded(self.band, lower=True), True
+    def _factor(self) -> Array:
+        return banded_cholesky(self.band)
 
     @cached_property
     def _solved(self) -> tuple[Array, Array]:
         """A⁻¹·B and A⁻¹·a."""
-        found = cho_solve_banded(self._factor, np.column_stack([self.border, self.right]))
+        found = cholesky_solved(self._factor, np.column_stack([self.border, self.right]))
         return found[:, :-1], found[:, -1]
 
     @property
@@ -53,7 +53,7 @@ class Bordered:
 
     def inverse_band(self, covariance: Array) -> Array:
         """The band of the covariance of x (w, k), where y has the given covariance (p, p)."""
-        found = inverse_band(self._factor[0])
+        found = inverse_band(self._factor)
         by_border = self._solved[0]
         for offset in range(len(found)):
             size = by_border.shape[0] - offset

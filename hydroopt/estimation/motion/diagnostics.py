@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.special import chdtrc
 
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import Observations
@@ -15,6 +14,7 @@ from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
+from hydroopt.tails import chi_square
 
 PARTS = 8
 """Parts of a motion over which a bias should stay the same."""
@@ -55,7 +55,7 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
                 drifting.append((change, channel, data))
     tests = sum(len(data.channels) for _, data in pairs)
     for (statistic, size, free), channel, data in drifting:
-        if tests * float(chdtrc(free, statistic)) < SURE:
+        if tests * chi_square(free, statistic) < SURE:
             yield Diagnostic(Kind.BIAS_DRIFTS, (channel,), {
                 "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]})
     for ratio, channel, data in sorted(far, key=lambda each: -each[0]):
@@ -103,7 +103,7 @@ def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagno
         values, vectors = np.linalg.eigh(spread[np.ix_(own, own)])
         told = values > TOLD
         squares = (vectors[:, told].T @ off[own]) ** 2 / values[told]
-        p = float(chdtrc(np.sum(told), np.sum(squares))) if told.any() else 1.0
+        p = chi_square(int(np.sum(told)), float(np.sum(squares))) if told.any() else 1.0
         if len(set(names)) * p < CONTRADICTED:
             far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], TOLD))
             most = [k for k in np.argsort(-far, kind="stable")[:MOST].tolist() if far[k] > 2.0]

@@ -45,9 +45,8 @@ class Spline:
         """At times (N,); those beyond the ends count as the ends."""
         x = self.basis.places(t)
         rows = [self.basis.derivative(x, order) for order in range(ORDERS)]
-        values = np.stack([row.data.reshape(-1, self.width) / self.basis.spacing**order
-                           for order, row in enumerate(rows)])
-        return Support(values, rows[0].indices[::self.width].astype(np.intp))
+        values = np.stack([row.values / self.basis.spacing**order for order, row in enumerate(rows)])
+        return Support(values, rows[0].first.astype(np.intp))
 
     @property
     def roughness(self) -> Array:

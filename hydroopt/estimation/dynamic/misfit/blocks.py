@@ -132,17 +132,19 @@ class Data:
                                             axis=2) for view, K in zip(self.views, self._regressors, strict=True)])
 
     @cached_property
-    def cosines(self) -> Columns:
-        """Slow cosines reading by reading: over the time of each log, the joint's position and the actuator's speed."""
-        made = [[np.zeros((len(view.motion.t), len(view.names), len(view.names), 0))] for view in self.views]
+    def cosines(self) -> tuple[Columns, ...]:
+        """Of each reading slow cosines: over the time of each log, the joint's position and the actuator's speed."""
+        made: list[list[Array]] = [[] for _ in self.views]
         for over, count in COURSES.items():
             courses = [_course(view, over) for view in self.views]
             low = np.min([one.min(axis=0) for one in courses], axis=0)
             span = np.maximum(np.max([one.max(axis=0) for one in courses], axis=0) - low, 1e-12)
             for table, course in zip(made, courses, strict=True):
-                waves = np.cos(np.pi * ((course - low) / span)[:, :, None] * np.arange(1, count + 1))
-                table.append(np.eye(course.shape[1])[:, :, None] * waves[:, :, None])
-        return self.columns([np.concatenate(one, axis=3).reshape(*one[0].shape[:2], -1) for one in made])
+                table.append(np.cos(np.pi * ((course - low) / span)[:, :, None] * np.arange(1, count + 1)))
+        waves = [np.concatenate(one, axis=2) for one in made]
+        return tuple(Columns([covariance.whiten(waves[block.view][block.start : block.stop, k], k)
+                              for block, covariance in zip(self.blocks, self._covariances, strict=True)])
+                     for k in range(len(self.views[0].names)))
 
     def residual(self, effects: Sequence[Array] | None = None) -> Columns:
         """What is measured beyond nominal parameters, and beyond `effects` (N, c) of faults."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.logs.spline import Basis, Grid
+from hydroopt.logs.windowed_rows import WindowedRows
 from hydroopt.spatial.inertia import Array
 
 KNOTS = 8.0
@@ -25,15 +25,24 @@ SUPPORT = 6
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Columns (rows, c) over their noise, what they say of the motion's errors, and what that leaves of these."""
+    """Columns (rows, c) over their noise, what they say of the motion's errors, and what that leaves of these.
+
+    `rows` are those of one reading where all others are zero and left out.
+    """
 
     columns: Array
     seen: Array
     solved: Array
+    rows: NDArray[np.intp] | None = None
 
     def inner(self, other: Whitened) -> Array:
-        """Xᵀ·V⁻¹·Y (c, d)."""
-        return np.asarray(self.columns.T @ other.columns - self.seen.T @ other.solved)
+        """Xᵀ·V⁻¹·Y (c, d), of which one may be of one reading, or both of the same."""
+        mine, others = self.columns, other.columns
+        if self.rows is None and other.rows is not None:
+            mine = mine[other.rows]
+        elif self.rows is not None and other.rows is None:
+            others = others[self.rows]
+        return np.asarray(mine.T @ others - self.seen.T @ other.solved)
 
 
 class ErrorCovariance:
@@ -59,27 +68,29 @@ class ErrorCovariance:
         self._sensitivity = self._rows(basis, by_motion)
         self._factor = self._factored(basis, np.broadcast_to(angle_noise, n), bandwidth)
 
-    def whiten(self, columns: Array) -> Whitened:
-        """Columns (rows, c), or readings (N, c', k) of which the rows are taken."""
+    def whiten(self, columns: Array, reading: int | None = None) -> Whitened:
+        """Columns (rows, c), readings (N, c', k) of which the rows are taken, or (N, k) of one reading alone."""
+        if reading is not None:
+            rows = np.flatnonzero(np.nonzero(self.taken)[1] == reading)
+            scaled = columns[self.taken[:, reading]] / self.size[rows, None]
+            own = WindowedRows(self._sensitivity.values[rows], self._sensitivity.first[rows], self._sensitivity.columns)
+            seen = own.gathered(scaled)
+            return Whitened(scaled, seen, cholesky_solved(self._factor, seen), rows)
         chosen = columns[self.taken] if columns.ndim == 3 else columns
         scaled = chosen / self.size[:, None]
-        seen = np.asarray(self._sensitivity.T @ scaled)
-        return Whitened(scaled, seen, np.asarray(cho_solve_banded((self._factor, True), seen)))
+        seen = self._sensitivity.gathered(scaled)
+        return Whitened(scaled, seen, cholesky_solved(self._factor, seen))
 
-    def _rows(self, basis: Basis, by_motion: Array) -> sp.csr_array:
+    def _rows(self, basis: Basis, by_motion: Array) -> WindowedRows:
         """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""
         N, c, n = by_motion.shape[1:]
-        values, places = np.zeros((N, c, n, SUPPORT)), np.zeros((N, SUPPORT), dtype=np.int64)
+        values = np.zeros((N, c, SUPPORT, n))
         for order in range(3):
-            rows = basis.derivative(basis.x, order)
-            places = rows.indices.reshape(N, SUPPORT).astype(np.int64)
-            shaped = rows.data.reshape(N, 1, 1, SUPPORT) / basis.spacing**order
-            values += by_motion[order][:, :, :, None] * shaped
-        columns = np.broadcast_to((places[:, None, :] * n + np.arange(n)[:, None])[:, None], values.shape)
+            splines = basis.derivative(basis.x, order).values / basis.spacing**order
+            values += by_motion[order][:, :, None, :] * splines[:, None, :, None]
         data = values[self.taken].reshape(self.size.size, n * SUPPORT) / self.size[:, None]
-        ends = np.arange(0, data.size + 1, n * SUPPORT)
-        return sp.csr_array((data.ravel(), columns[self.taken].ravel(), ends),
-                            shape=(self.size.size, n * (basis.intervals + SUPPORT - 1)))
+        first = np.broadcast_to(n * basis.design.first.astype(np.int64)[:, None], (N, c))[self.taken]
+        return WindowedRows(data, first, n * (basis.intervals + SUPPORT - 1))
 
     def _factored(self, basis: Basis, noise: Array, bandwidth: Array) -> Array:
         """Cholesky factor, in band storage, of C⁻¹ + Gᵀ·D⁻¹·G."""
@@ -87,10 +98,6 @@ class ErrorCovariance:
         size = basis.intervals + SUPPORT - 1
         inverse = np.stack([(basis.gram + 10.0 ** basis.filter_of(float(bandwidth[j])).log_weight * basis.penalty)
                             / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
-        band = np.zeros((n * half + n, n * size))
+        band = np.zeros((n * SUPPORT, n * size))
         band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
-        inner = (self._sensitivity.T @ self._sensitivity).tocoo()
-        below = inner.row >= inner.col
-        rows, columns = inner.row[below].astype(np.int64), inner.col[below].astype(np.int64)
-        np.add.at(band, (rows - columns, columns), inner.data[below])
-        return np.asarray(cholesky_banded(band, lower=True))
+        return banded_cholesky(band + self._sensitivity.gram)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincc
 
+from hydroopt import tails
 from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.listed_faults import listed
@@ -143,6 +143,7 @@ class Search:
         self._columns = data.columns([np.stack([f.sensitivity(v) for f in faults], axis=2) for v in data.views])
         self._residual = data.residual()
         self._products: dict[tuple[int, int], tuple[Columns, Columns, Array]] = {}
+        self._roots: dict[tuple[bytes, float], Array] = {}
         self.chosen = list(chosen)
 
     def _effects(self, faults: Sequence[tuple[Fault, float]]) -> list[Array] | None:
@@ -157,10 +158,12 @@ class Search:
         KK, KX = self._sum(K, K, blocks), np.hstack([self._sum(K, one, blocks) for one in every])
         XX = np.vstack([np.hstack([self._sum(one, other, blocks) for other in every]) for one in every])
         KX[:, -1] += weaker * data.pull
-        S = data.scale[:, None] * (KK + weaker * data.prior) * data.scale
-        values, vectors = np.linalg.eigh(S)
-        kept = values > 1e-13 * values[-1]
-        half = (vectors[:, kept] / np.sqrt(values[kept])).T @ (data.scale[:, None] * KX)
+        key = blocks.tobytes(), weaker
+        if key not in self._roots:
+            values, vectors = np.linalg.eigh(data.scale[:, None] * (KK + weaker * data.prior) * data.scale)
+            kept = values > 1e-13 * values[-1]
+            self._roots[key] = (vectors[:, kept] / np.sqrt(values[kept])).T * data.scale
+        half = self._roots[key] @ KX
         return np.asarray(XX - half.T @ half)
 
     def _sum(self, one: Columns, other: Columns, blocks: Array) -> Array:
@@ -181,18 +184,18 @@ class Search:
 
     def lack_of_fit(self) -> dict[str, float]:
         """Probability of the slow residuals of each reading if nothing but the chosen faults were there."""
-        return {name: min(1.0, len(COURSES) * min(p.values())) for name, p in self.by_course().items()}
+        return lack_of_fit(self.by_course())
 
     def by_course(self) -> dict[str, dict[str, float]]:
         """The same over each of `COURSES`."""
         held, residual = self.present()
-        every, names = np.ones(len(self.data.blocks), dtype=bool), self.data.views[0].names
-        table = _without(self.projected([*held, self.data.cosines], residual, every, 0.01), len(self.chosen))
-        tests = [count for _ in names for count in COURSES.values()]
-        ends = np.cumsum(tests).tolist()
-        p = [_of_noise(table[end - count : end, end - count : end], table[end - count : end, -1])
-             for end, count in zip(ends, tests, strict=True)]
-        return {name: dict(zip(COURSES, p[k * len(COURSES) :], strict=False)) for k, name in enumerate(names)}
+        every, made = np.ones(len(self.data.blocks), dtype=bool), {}
+        for name, cosines in zip(self.data.views[0].names, self.data.cosines, strict=True):
+            table = _without(self.projected([*held, cosines], residual, every, 0.01), len(self.chosen))
+            ends = np.cumsum(list(COURSES.values())).tolist()
+            made[name] = {over: _of_noise(table[end - count : end, end - count : end], table[end - count : end, -1])
+                          for end, (over, count) in zip(ends, COURSES.items(), strict=True)}
+        return made
 
     def step(self) -> tuple[Cause, ...]:
         """The faults that explain most of what is left, the likeliest first; none where nothing is shown."""
@@ -215,7 +218,7 @@ class Search:
         near.sort(key=lambda cause: -cause.evidence)
         shown = [c for c in near if c.evidence > EVIDENCE and not (c.fault.positive and c.size < 0)
                  and abs(c.size) < LARGEST * c.fault.scale
-                 and len(self.faults) * float(gammaincc(0.5, (c.size / c.std) ** 2 / 2)) < ALARM]
+                 and len(self.faults) * 2 * tails.normal(abs(c.size) / c.std) < ALARM]
         return tuple(c for c in shown if c.evidence > shown[0].evidence - max(TIED, ROUGH * shown[0].evidence))
 
     def _followed(self, cause: Cause) -> Cause:
@@ -289,12 +292,17 @@ class Search:
                 for k, fault in enumerate(self.faults)}
 
 
+def lack_of_fit(by_course: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Probability of each reading's residuals by those over each course."""
+    return {name: min(1.0, len(COURSES) * min(p.values())) for name, p in by_course.items()}
+
+
 def _of_noise(information: Array, score: Array) -> float:
     """Probability of a score (k,) of columns without effect, with its information (k, k)."""
     values, vectors = np.linalg.eigh(information)
     kept = values > 1e-4 * max(values[-1], 1e-300)
     statistic = float(np.sum((vectors[:, kept].T @ score) ** 2 / values[kept]))
-    return float(gammaincc(np.sum(kept) / 2, statistic / 2)) if kept.any() else 1.0
+    return tails.chi_square(int(np.sum(kept)), statistic) if kept.any() else 1.0
 
 
 def _weighed(fault: Fault, size: float, statistic: float, information: float) -> Cause:
@@ -324,8 +332,9 @@ def examine_fit(data: Data) -> Misfit:
     """Test the residuals of a problem's data, and look for faults that explain them."""
     view = data.views[0]
     search = Search(data, list(listed(view)))
-    before = search.lack_of_fit()
-    follows = {name: min(p, key=lambda over: p[over]) for name, p in search.by_course().items()}
+    by_course = search.by_course()
+    before = lack_of_fit(by_course)
+    follows = {name: min(p, key=lambda over: p[over]) for name, p in by_course.items()}
     smallest = search.smallest()
     steps: list[tuple[Cause, ...]] = []
     while len(steps) < MOST and (shown := search.step()):

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.logs.cubic_spline import cubic_spline
@@ -22,6 +21,7 @@ from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
+from hydroopt.spectra import windowed_median
 
 SPIKE = 6.0
 """Distance from the running median, in robust standard deviations, beyond which a residual is a spike."""
@@ -114,7 +114,7 @@ class View:
     @cached_property
     def spikes(self) -> NDArray[np.bool_]:
         """Readings (N, c) far off their neighbours."""
-        off = self.residual - median_filter(self.residual, size=(7, 1), mode="nearest")
+        off = self.residual - windowed_median(self.residual, 7)
         used = self.motion.interior
         size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
         least = np.maximum(1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300, UNKNOWN * self.of_motion)
@@ -348,7 +348,7 @@ class View:
 
 
 def _slow(x: Array, window: int) -> Array:
-    calm = median_filter(x, size=window, mode="nearest")
+    calm = windowed_median(x, window)
     padded = np.pad(calm, window // 2, mode="edge")
     return np.convolve(padded, np.full(window, 1.0 / window), mode="valid")
 
