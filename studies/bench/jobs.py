@@ -18,7 +18,7 @@ from hydroopt.machine.machine import BASE, Machine
 HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
 SIZES = {1664: 3, 10_000: 1, 100_000: 1}
 """Samples of the log, and how many runs are taken."""
-LIBRARIES = ("numpy", "scipy.linalg", "scipy.ndimage", "casadi", "clarabel", "pydantic", "tomlkit", "jinja2", "typer")
+LIBRARIES = ("numpy", "casadi", "clarabel", "pydantic", "tomlkit", "jinja2", "typer", "pyarrow.parquet")
 """What an identification cannot do without."""
 CHAINS = (3, 6, 12, 24)
 """Joints of chains for which C is generated."""
