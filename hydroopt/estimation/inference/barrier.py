@@ -108,7 +108,8 @@ def interior(start: Array, root: Array, right: Array, matrices: Callable[[Array]
             break
         z, lowest = z + part * step, value
     size, axes = np.linalg.eigh(derivatives(z)[1])
-    return Interior(z, axes / np.sqrt(size))
+    # barriers only add to the Gaussian's curvature: what is below it is rounding beside a barrier that is almost met
+    return Interior(z, axes / np.sqrt(np.maximum(size, np.linalg.svd(root, compute_uv=False)[-1] ** 2)))
 
 
 def _derivatives(bodies: Matrices, single: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -30,6 +30,13 @@ def test_exponential_density_at_an_edge() -> None:
     assert covariance[1, 1] == pytest.approx(1.0)
 
 
+def test_beside_a_barrier_that_is_almost_met_no_direction_is_wider_than_the_gaussian() -> None:
+    """Curvatures of 1e22 and of 1, from which no step leads away: rounding of the large one made others negative."""
+    slopes = np.random.default_rng(0).standard_normal((1, 40))
+    found = of_normal(np.zeros(40), lambda _: (np.array([1e-10]), slopes))
+    assert np.linalg.svd(found.root, compute_uv=False)[0] <= 1 + 1e-9
+
+
 def test_wishart_density_at_the_corner_of_all_matrices() -> None:
     """W = FAR·1 + z has the density exp(−FAR·tr W): Wishart with five degrees of freedom and scale 1/(2·FAR)."""
     start = np.eye(4)[np.triu_indices(4)]
