@@ -1,6 +1,5 @@
 """CPU time of `hydroopt control`."""
 
-import os
 import resource
 import subprocess
 import tempfile
@@ -8,7 +7,7 @@ from pathlib import Path
 
 from hydroopt import Model, load_machine
 from hydroopt.logs.table import encoded_columns
-from studies.bench.jobs import HYDROOPT
+from studies.bench.jobs import HYDROOPT, as_installed
 from studies.cat215b_tracking.run import feasible
 
 MOTION = 34 * 50 + 1
@@ -29,6 +28,8 @@ def control() -> None:
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             command = [HYDROOPT, "control", "estimate", "--motion", "motion.csv", "--truth", "log/truth.json",
                        "-o", "loop", "--quiet"]
-            subprocess.run(command, check=True, cwd=folder, env=os.environ | {"HYDROOPT_CACHE": f"{folder}/kernels"})
+            subprocess.run(command, check=True, cwd=folder,
+                           env=as_installed(folder) | {"HYDROOPT_CACHE": f"{folder}/kernels"})
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            print(f"  kernels {kernels}: {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s")
+            print(f"  kernels {kernels}: {after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime:.1f} s "
+                  "(target 4)")

@@ -24,6 +24,12 @@ CHAINS = (3, 6, 12, 24)
 """Joints of chains for which C is generated."""
 
 
+def as_installed(folder: str) -> dict[str, str]:
+    """The environment of a process that keeps Python's bytecode in a folder, as an installed package keeps its own."""
+    return {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"} | {
+        "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
+
+
 def measured(command: list[str]) -> tuple[float, float, float]:
     """Wall time [s], CPU time [s] and peak memory [MB] of one run of a command, its import of everything included."""
     began = time.perf_counter()

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from hydroopt import hydraulic_problem, load_machine, read_log
 from hydroopt.estimation.hydraulic.adjustment import adjust
-from studies.bench.jobs import HYDROOPT
+from studies.bench.jobs import HYDROOPT, as_installed
 
 SECONDS, RATE = "7", "100"
 
@@ -23,11 +23,12 @@ def valves() -> None:
             log = f"{folder}/{name}"
             subprocess.run([HYDROOPT, "simulate", name, "--driven", "--duration", SECONDS, "--rate", RATE, "--truth",
                             "random", "--seed", "1", "-o", log, "--quiet"], check=True)
-            before = os.times()
-            subprocess.run([HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"],
-                           check=True)
-            after = os.times()
-            process = sum(after[2:4]) - sum(before[2:4])
+            for _ in range(2):  # the first one leaves bytecode and kernels
+                before = os.times()
+                subprocess.run([HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"],
+                               check=True, env=as_installed(folder))
+                after = os.times()
+                process = sum(after[2:4]) - sum(before[2:4])
             problem = hydraulic_problem(load_machine(name), [read_log(f"{log}/log.csv")])
             stretches, known = problem.balanced, problem.parameters
             began = time.process_time()
