@@ -71,7 +71,9 @@ def _nearest(chain: KinematicModel, read: dict[str, Array]) -> str:
 
 
 def _with_stage(machine: Machine, chain: KinematicModel, every: Sequence[Poses]) -> Machine:
-    """The machine with a stage that says what the joints without readings did."""
+    """The machine with a stage that says what the calibrator's joints without readings did, if it was attached."""
+    if not any(np.any(poses.fixture != "") for poses in every):
+        return machine.model_copy(update={"stages": (*machine.stages, Stage(name=STAGE))})
     unread = [joint for joint in chain.joints if not any(f"{joint}.q" in poses.channels for poses in every)]
     moved = {joint for stage in machine.stages for joint in stage.moves}
     locked = {joint: angle for stage in machine.stages for joint, angle in stage.locked.items()

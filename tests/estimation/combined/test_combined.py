@@ -288,6 +288,20 @@ def test_estimate_has_geometry_and_bodies_with_their_covariance(estimate: Combin
     assert np.sqrt(np.mean(np.square(z))) < 1.6
 
 
+def test_lengths_alone_tell_of_the_geometry(machine: Machine, noisy: Log) -> None:
+    """Without the calibrator, numbers are links, pins and dead lengths, without fixtures and its joints."""
+    own = {name: values for name, values in noisy.channels.items() if name.partition(".")[0] not in (
+        "grapple", "yoke", "upper_arm", "forearm")}
+    log = Log("lengths", noisy.t, own, units={name: noisy.units[name] for name in own})
+    found = postures(machine, in_memory(identification_problem(machine, log).experiments, "test"))
+    calibrated = calibrate(found)
+    assert not np.any(found.layout.moving)
+    assert set(found.parameters.names) == set(KinematicModel(machine).parameters.names)
+    row = calibrated.parameters["stick_cylinder.rod.x"]
+    assert row.std is not None
+    assert row.std < 0.5 * 0.02
+
+
 def test_what_cannot_be_combined_is_refused(machine: Machine, noisy: Log) -> None:
     bare = {name: values for name, values in noisy.channels.items() if name.partition(".")[0] in (
         "swing", "boom", "stick") or ".p_" in name}
