@@ -40,7 +40,7 @@ def test_pages_load_nothing_from_the_network(site: Path) -> None:
 
 def test_every_study_has_its_row() -> None:
     told = set(re.findall(r"^\| \[`(\w+)`\]", (ROOT / "docs/studies.md").read_text("utf-8"), re.MULTILINE))
-    assert {path.parent.name for path in (ROOT / "studies").glob("*/README.md")} == told
+    assert {path.parent.name for path in (ROOT / "studies").glob("*/expected.json")} == told
 
 
 @pytest.mark.slow
