@@ -63,7 +63,7 @@ class Workspace(Noun):
 
 
 class Obstacle(Noun):
-    """A ball that the far end of the last link avoids.
+    """A ball that links and cylinders avoid, but for what is pinned to its link.
 
     A cab that swings with its machine is attached to the swinging link.
     """
@@ -97,3 +97,16 @@ class Footprint(Noun):
             raise ImpossibleError("the corners do not go round counter-clockwise, or not round a convex area",
                                   "list them counter-clockwise as seen from above")
         return self
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Centre (x, y) of its area [m].
+
+        >>> Footprint(corners=((0, 0), (2, 0), (2, 1), (0, 1)), mass=0, com=(0, 0, 0)).middle
+        (1.0, 0.5)
+        """
+        points = np.array(self.corners)
+        after = np.roll(points, -1, axis=0)
+        twice = points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]
+        x, y = (twice @ (points + after) / (3 * np.sum(twice))).tolist()
+        return x, y

@@ -14,12 +14,13 @@ from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.motion.excitation import Excitation, UseOfLimit
+    from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
+    from hydroopt.limits.use import UseOfLimit
 
 IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "sum of variances (A)",
             "E": "greatest variance of any combination (E)", "condition": "condition number of the regressor"}
-PLACES = ("workspace", "above ground", "distance to")
+PLACES = ("workspace", "above ground", "distance of")
 """Limits that the machine in space shows."""
 POSITION, RATES = ("position",), ("speed", "acceleration")
 JOINT = (*POSITION, *RATES)
@@ -146,7 +147,7 @@ def _efforts(excitation: Excitation) -> list[Panel]:
         if use.name.startswith("tipping"):
             together, label = "against tipping", f"edge {what}"
         panel = panels.setdefault(together, Panel(together, use.unit))
-        panel.traces.append(Trace(label, excitation.histories[use.name], limits=_bounds(use)))
+        panel.traces.append(Trace(label, excitation.courses[use.name].values, limits=_bounds(use)))
     return list(panels.values())
 
 

@@ -11,7 +11,7 @@ from hydroopt.control.comparison import Comparison, compare
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD
 from hydroopt.control.setting import Setting
-from hydroopt.excitation.motion.limits import Limits
+from hydroopt.limits.limits import Limits
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.simulation.simulate import Trajectory

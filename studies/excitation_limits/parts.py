@@ -13,8 +13,8 @@ from hydroopt.excitation.criteria import CRITERIA
 from hydroopt.excitation.motion.basis import Fourier, Spline
 from hydroopt.excitation.motion.design import design, excitation_problem
 from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.kernels import native
+from hydroopt.limits.limits import Limits
 from hydroopt.machine.environment import Obstacle, Pump, Workspace
 from hydroopt.simulation import simulate as synthetic
 
@@ -91,7 +91,7 @@ def outcome(seed: int) -> Outcome:
     if len(machine.joints) > 1 and rng.random() < 0.3:
         joint = str(rng.choice(machine.joints))
         resting[joint] = float(rng.uniform(*machine.link(joint).joint.range))
-    limits = Limits(model, margins(model))
+    limits = Limits(model)
     try:
         program = excitation_problem(machine, basis, criterion=str(rng.choice(CRITERIA)), rate=RATE, resting=resting)
         found = design(program, starts=1, seed=seed, seconds=0.5)

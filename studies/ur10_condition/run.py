@@ -10,8 +10,8 @@ from hydroopt.excitation.criteria import DesignParameters, Information, design_p
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.limits.limits import Limits
 from hydroopt.machine.actuators import TorqueFriction
 from hydroopt.machine.machine import Machine
 
@@ -79,7 +79,7 @@ def condition(model: Model, states, places) -> float:
 
 
 def designed(model: Model, asked: DesignParameters) -> tuple[Excitation, float]:
-    program = ExcitationProblem(Information(model, asked, "condition"), Limits(model, margins(model)),
+    program = ExcitationProblem(Information(model, asked, "condition"), Limits(model),
                                 Fourier(10.0, 5), 100.0)
     began = time.perf_counter()
     found = design(program, processes=2, seconds=SECONDS)

@@ -15,7 +15,8 @@ from hydroopt.control.feasibility import refuse_flow
 from hydroopt.control.reference import Reference
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.limits import USED, Limits
+from hydroopt.limits.limits import Limits
+from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.table import write_columns
 from hydroopt.model.flow_demand import demanded_flow
 from hydroopt.simulation.reference_motion import reference_motion
@@ -59,7 +60,7 @@ OPTIONS = {"patu655_lift": ("--rate", "200")}
 def test_the_limit_of_a_valve_is_where_it_is_fully_open(name: str) -> None:
     """In steady motion, found by the plant itself: at the limit it opens its valve by the part that a design uses."""
     model = Model(load_machine(name))
-    plant, limits = Plant(model), Limits(model)
+    plant, limits = Plant(model), Limits(model, Reserves(flow=0.1, certainty=0.5))
     rng, psi, theta = np.random.default_rng(1), model.parameters.nominal, Plant(model).parameters.nominal
     rows = [k for k, row in enumerate(limits.rows) if " valve " in row.name]
     assert len(rows) == 2 * len(plant.actuators)
@@ -79,7 +80,7 @@ def test_the_limit_of_a_valve_is_where_it_is_fully_open(name: str) -> None:
         force = model.over(model.inverse_dynamics, q[None], pace * way[None], 0 * q[None], psi)[0].ravel()
         opened = [float(each.opening_for(force[k], speed[k], plant.supply, plant.value(each, theta))[0])
                   for k, each in enumerate(plant.actuators)]
-        assert max(np.abs(opened)) == pytest.approx(USED, rel=1e-6)
+        assert max(np.abs(opened)) == pytest.approx(0.9, rel=1e-6)
         compared += 1
     assert compared >= 5
 

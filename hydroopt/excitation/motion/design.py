@@ -30,11 +30,13 @@ from hydroopt.excitation.criteria import Information, design_parameters, presume
 from hydroopt.excitation.motion.basis import Basis
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import measured_information
-from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
+from hydroopt.limits.limits import Limits
+from hydroopt.limits.reserves import DEFAULT, Reserves
+from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
@@ -61,7 +63,8 @@ T = TypeVar("T")
 
 def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
                        priors: bool = False, logs: Sequence[AnyLog] = (), rate: float | None = None,
-                       resting: Mapping[str, float] | None = None) -> ExcitationProblem:
+                       resting: Mapping[str, float] | None = None, reserves: Reserves = DEFAULT,
+                       known: UncertainParameters | None = None) -> ExcitationProblem:
     """The design of a motion with the most information on a machine's parameters, within its limits.
 
     Args:
@@ -74,6 +77,8 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
         rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
             or 50.
         resting: joints that rest, with their positions [rad, m]; those of a moving base rest level if not stated.
+        reserves: that are kept of all limits.
+        known: of the parameters, by which pressures, valves and tipping keep them; by default what the file states.
 
     Raises:
         ProblemError: an argument is wrong; the sentence states a remedy.
@@ -96,7 +101,7 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
     level = {joint: float(np.clip(0.0, *machine.link(joint).joint.range)) for joint in machine.base_joints}
     measured = measured_information(machine, logs) if logs else None
     parameters = design_parameters(model, presumed_noise(model), focus=focus, bayesian=priors, measured=measured)
-    return ExcitationProblem(Information(model, parameters, criterion), Limits(model, margins(model)), basis,
+    return ExcitationProblem(Information(model, parameters, criterion), Limits(model, reserves, known), basis,
                              sampling_rate(machine) if rate is None else rate, level | dict(resting or {}),
                              [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size,
                                "role": "measured before"} for log in logs])
@@ -152,7 +157,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         raise KeyboardInterrupt
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
                        "tried, however small", where="excitation",
-                       remedy="correct these limits in the machine file, or give more time")
+                       remedy="correct these limits in the machine file, keep smaller reserves, or give more time")
 
 
 def _as_it_swings(found: Excitation, rest: Array) -> Excitation:

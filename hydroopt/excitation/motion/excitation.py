@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion
+from hydroopt.limits.use import Course, UseOfLimit, courses
 from hydroopt.logs.table import encoded_columns
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
@@ -36,29 +37,6 @@ from hydroopt.spatial.inertia import Array
 METHOD = "sequential quadratic programming"
 TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
-
-
-class UseOfLimit(NamedTuple):
-    """What a motion uses of a limit, over all of its samples [`unit`]; infinite bounds are none."""
-
-    name: str
-    unit: str
-    lower: float
-    lowest: float
-    highest: float
-    upper: float
-
-    @property
-    def room(self) -> float:
-        """What is left; not negative if the limit is kept."""
-        return min(self.lowest - self.lower, self.upper - self.highest)
-
-    @property
-    def part(self) -> float:
-        """What is left of the range, or of the bound if there is but one; not a number if that is zero."""
-        bounds = [bound for bound in (self.lower, self.upper) if np.isfinite(bound)]
-        size = float(np.ptp(bounds)) or abs(bounds[0])
-        return self.room / size if size else float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -247,21 +225,14 @@ class Excitation(Answer):
         return ca.Function("excitation", [t], made, ["t"], ["q", "qd", "qdd"])
 
     @cached_property
-    def histories(self) -> dict[str, Array]:
-        """What is limited (N,), by the limit's name; of limits that share a name, the greatest at each sample."""
-        limits, found = self.problem.limits, dict[str, Array]()
-        values = limits.values(*self._states)
-        for k, limit in enumerate(limits.rows):
-            own = np.maximum(values[:, k] * limit.scale, limit.floor)
-            found[limit.name] = np.maximum(found[limit.name], own) if limit.name in found else own
-        return found
+    def courses(self) -> Mapping[str, Course]:
+        """Each limited quantity over time, by the limit's name."""
+        return courses(self.problem.limits, *self._states)
 
-    @cached_property
+    @property
     def limits(self) -> tuple[UseOfLimit, ...]:
         """What it uses of each limit."""
-        rows = {row.name: row for row in self.problem.limits.rows}
-        return tuple(UseOfLimit(name, row.unit, row.lower, float(np.min(self.histories[name])),
-                         float(np.max(self.histories[name])), row.upper) for name, row in rows.items())
+        return tuple(course.use for course in self.courses.values())
 
     @cached_property
     def value(self) -> float:

@@ -14,7 +14,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.excitation.criteria import DesignParameters, Information
 from hydroopt.excitation.motion.basis import Basis, Rows, check
 from hydroopt.excitation.motion.criterion_function import CriterionFunction, ExcitationProgram
-from hydroopt.excitation.motion.limits import Limits
+from hydroopt.limits.limits import Limits
 from hydroopt.machine.machine import Machine
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.spatial.inertia import Array

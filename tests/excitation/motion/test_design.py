@@ -11,8 +11,9 @@ from hydroopt.errors import ProblemError
 from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design
-from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.limits.limits import Limits
+from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.environment import Pump, Workspace
 from hydroopt.machine.machine import Machine
@@ -75,7 +76,7 @@ def test_criteria_are_those_of_the_covariance(model: Model) -> None:
 
 def test_limits_are_what_their_names_say(model: Model) -> None:
     """Against sums by hand: pump flow, strokes, and the moment that holds a resting machine on its tracks."""
-    limits, motion = Limits(model), random_trajectory(model, duration=10, rate=5, seed=1)
+    limits, motion = Limits(model, Reserves.none()), random_trajectory(model, duration=10, rate=5, seed=1)
     states = motion.q, motion.qd, motion.qdd
     values = limits.values(*states) * limits.scale
     names = [row.name for row in limits.rows]
@@ -103,7 +104,7 @@ def test_no_motion_breaks_a_limit(model: Model, seed: int) -> None:
     narrow = Model(machine)
     basis = (Fourier(5.0, 2, blend=1.0), Spline(5.0, 4))[seed % 2]
     program = ExcitationProblem(Information(narrow, design_parameters(narrow, force_noise(narrow)), "D"),
-                                Limits(narrow, margins(narrow)),
+                                Limits(narrow),
                       basis, 20.0, {"swing": 0.2} if seed == 3 else None)
     found = design(program, starts=1, seed=seed, seconds=3.0)
     assert all(use.room >= 0 for use in found.limits)

@@ -17,9 +17,10 @@ from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design, excitation_problem, random_motion, resting_posture
-from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
+from hydroopt.limits.limits import Limits
+from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.environment import Obstacle, Pump, Workspace
 from hydroopt.machine.machine import Machine
 from hydroopt.results.answer import load
@@ -34,7 +35,7 @@ def program(machine: Machine, basis: Basis = SHORT, criterion: str = "D", restin
             rate: float = 20.0) -> ExcitationProblem:
     model = Model(machine)
     asked = design_parameters(model, presumed_noise(model))
-    return ExcitationProblem(Information(model, asked, criterion), Limits(model, margins(model)), basis, rate, resting)
+    return ExcitationProblem(Information(model, asked, criterion), Limits(model), basis, rate, resting)
 
 
 def somewhere(of: ExcitationProblem, seed: int = 0) -> np.ndarray:
@@ -65,7 +66,7 @@ def test_derivatives_are_those_of_finite_differences(basis: Basis, resting: dict
     assert gradient @ step == pytest.approx(slope, rel=1e-4, abs=1e-6)
     change = (of.constraints(x + h * step) - of.constraints(x - h * step)) / (2 * h)
     slopes = of.slopes(x)
-    size = np.max(np.abs(change), axis=0) + 1e-9  # what a resting joint limits does not change
+    size = np.max(np.abs(change), axis=0) + 1e-4  # rounding reaches 1e-11 of what a resting joint does not change
     assert np.max(np.abs(of.directional_derivative(slopes, step) - change) / size) < 1e-6
     weights = np.random.default_rng(2).standard_normal(change.shape) / size
     assert of.weighted_gradient(slopes, weights) @ step == pytest.approx(np.sum(weights * change), rel=1e-5)
@@ -150,12 +151,12 @@ def ball(centre: tuple[float, float, float], radius: float) -> tuple[Obstacle, .
 
 NOWHERE = Workspace(lower=(5.0, -1.0, -1.0), upper=(7.0, 1.0, 1.0))
 IMPOSSIBLE = {
-    "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)}, "distance to shed cannot be kept in any"),
-    "ground above everything": ({"ground": 20.0}, "boom above ground, stick above ground cannot be kept in any"),
+    "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)}, "distance of .* to shed.* cannot be kept in any"),
+    "ground above everything": ({"ground": 20.0}, "boom above ground, stick above ground.* cannot be kept in any"),
     "relief below what holds the boom": (dict(relieved(20.0)), "boom_cylinder p_head.* cannot be kept in any"),
     "a ball that fills the workspace": (
         {"obstacles": ball((6.0, 0.0, 0.0), 3.0), "workspace": NOWHERE},
-        "workspace along x, .*distance to shed cannot be kept together in any"),
+        "workspace along x, .*distance of .* to shed.* cannot be kept together in any"),
     "nowhere": ({"workspace": Workspace(lower=(-1.0, -1.0, 30.0), upper=(1.0, 1.0, 31.0))},
                 "workspace along z cannot be kept in any")}
 
@@ -214,8 +215,12 @@ def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> N
 
 
 def test_ipopt_by_hand_finds_no_better_motion_from_the_same_start() -> None:
-    """The program that the user gets, against our own solver's optimum, near which IPOPT starts and from afar."""
-    problem = excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0)
+    """The program that the user gets, against our own solver's optimum, near which IPOPT starts and from afar.
+
+    Without reserves: uncertain friction, which jumps at reversals, makes many local optima.
+    """
+    problem = excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0,
+                                 reserves=Reserves.none())
     start = random_motion(problem, resting_posture(problem, np.random.default_rng(0)), np.random.default_rng(1))
     found = sequential_quadratic_programming(problem, Search.at(start), 0.0, lambda: False, lambda _: None).best
     program = problem.nlp(start)

@@ -1,8 +1,9 @@
 """The limits of a machine as bounded functions of the joints' state, each with a name for messages.
 
-Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; what fully open valves give at
-the supply's pressure; chamber pressures or torques by the nominal dynamics with a margin for its uncertainty; what
-passive joints leave without balance; workspace, ground and obstacles; tipping over.
+Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; what valves give at the
+supply's pressure; chamber pressures or torques; what passive joints leave without balance; workspace, ground, obstacles
+and the machine's own parts; tipping over, moving and when stopped. What depends on uncertain parameters counts as the
+value that it keeps with the reserves' certainty.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.limits.parts import Part, distance, distance_to_point, pairs, parts
+from hydroopt.limits.reserves import DEFAULT, Reserves
+from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
 from hydroopt.model.flow_demand import chamber_flows
@@ -27,9 +30,10 @@ from hydroopt.parameters.hydraulic import parameter_set
 from hydroopt.simulation.simulate import BACK_PRESSURE
 from hydroopt.spatial.inertia import Array
 
-USED = 0.9
-"""Part of a valve's opening, and of the pump's flow, that a designed motion uses in steady flow: the rest is for leaks,
-for the oil's compression and for a controller that catches up."""
+VARIES = 1e-9
+"""Change of a distance [m] from which on it varies."""
+WATCHED = 0.5
+"""Distance [m] beyond their reserve within which the machine's own parts are watched."""
 
 
 class Row(NamedTuple):
@@ -49,32 +53,48 @@ class Row(NamedTuple):
 class Limits:
     """All limits of a machine as one function of the joints' state.
 
+    Args:
+        model: of the machine.
+        reserves: that are kept of them.
+        known: what is known of ψ; by default what the machine file states.
+
     Attributes:
-        rows: what is bounded (m,), in the order of the function's output.
+        rows: what is bounded (m,), in the order of the function's output; bounds are less the reserves.
         function: casadi.Function (q, qd, qdd) → (m,). It does not contain the bounds, so that machines that differ
             only in bounds share its kernel.
         derivatives: of it, (m, 3n), by q, then qd, then qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
-        margin: (a,) force [N, N·m] that each actuator keeps in reserve.
         hanging: the passive joints.
         back_pressure: [Pa] in the chamber that does not push.
+
+    Example:
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> model = Model(load_machine("cat215b"))
+        >>> limits, itself = Limits(model), Limits(model, Reserves.none())
+        >>> {row.name: row.lower for row in limits.rows}["stick above ground"].__round__(2)
+        -1.4
+        >>> {row.name: row.lower for row in itself.rows}["stick above ground"]
+        -1.7
     """
 
     back_pressure = BACK_PRESSURE
 
-    def __init__(self, model: Model, margin: Array | None = None) -> None:
-        self.model = model
-        machine = model.machine
+    def __init__(self, model: Model, reserves: Reserves = DEFAULT, known: UncertainParameters | None = None) -> None:
+        model.refuse_seals("limits of a motion")
+        self.model, self.reserves = model, reserves.checked()
+        self.known = UncertainParameters.stated(model) if known is None else known
         self.hanging = Hanging(model)
-        self.margin = np.zeros(len(machine.actuators)) if margin is None else margin
+        self._psi = ca.SX.sym("psi", len(model.parameters))
+        self._force = self._worst(_actuator_forces(model, self._psi)) if model.machine.actuators else None
         self._entries: list[tuple[Row, ca.SX]] = []
         self._joints()
         self._cylinders()
         self._pump()
         self._efforts()
         self._valves()
-        self._positions()
+        self._workspace()
+        self._clearances()
         self._tipping()
         self._passive()
         self.rows = tuple(row for row, _ in self._entries)
@@ -88,7 +108,7 @@ class Limits:
         self.upper = np.array([row.upper for row in self.rows]) / self.scale
 
     def __reduce__(self) -> tuple[type[Limits], tuple[object, ...]]:
-        return Limits, (self.model, self.margin)
+        return Limits, (self.model, self.reserves, self.known)
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """What is limited (N, m) in states (N, n), divided by the scales."""
@@ -102,6 +122,11 @@ class Limits:
         """By how much (N, m) values (N, m) exceed their bounds: at most zero if satisfied, infinite if not a number."""
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
+
+    def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Mean (m,) of expressions that are linear in ψ, and by how much they exceed it at most (m,)."""
+        mean, std = self.known.of(value, self._psi)
+        return mean, self.reserves.deviations * std
 
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
              scale: float | None = None, floor: float = -np.inf) -> None:
@@ -137,26 +162,28 @@ class Limits:
         demands = [chamber_flows(actuator, self.model.dynamics.rates[k])
                    for k, actuator in enumerate(machine.actuators) if isinstance(actuator, Cylinder | Motor)]
         for chosen in itertools.product(*demands) if demands else ():
-            self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]), upper=USED * machine.pump.max_flow,
-                      scale=machine.pump.max_flow)
+            self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]),
+                      upper=(1 - self.reserves.flow) * machine.pump.max_flow, scale=machine.pump.max_flow)
 
     def _efforts(self) -> None:
-        model = self.model
-        force = _actuator_forces(model, ca.DM(model.parameters.nominal))
+        model, kept = self.model, 1 - self.reserves.pressure
+        if self._force is None:
+            return
+        force, more = self._force
         for k, actuator in enumerate(model.machine.actuators):
-            margin = float(self.margin[k])
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
                     unit = model.machine.effort_units(actuator.joint)[0]
-                    self._add(f"{actuator.name} torque", unit, force[k], margin - most, most - margin, most)
+                    self._add(f"{actuator.name} torque", unit, force[k] + more[k], upper=kept * most, scale=most)
+                    self._add(f"{actuator.name} torque", unit, force[k] - more[k], lower=-kept * most, scale=most)
                 continue
             if actuator.relief_pressure is None:
                 continue
             # a chamber pushes against the back pressure in the other one
-            areas = actuator.areas
+            areas, most = actuator.areas, kept * actuator.relief_pressure
             for chamber, area, other, sign in zip(actuator.chambers, areas, areas[::-1], (1, -1), strict=True):
-                most = actuator.relief_pressure - margin / area
-                self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * self.back_pressure) / area,
+                self._add(" ".join(chamber.split(".")), "Pa",
+                          (sign * force[k] + more[k] + other * self.back_pressure) / area,
                           upper=most if most >= self.back_pressure else -np.inf,  # cannot be satisfied
                           scale=actuator.relief_pressure, floor=self.back_pressure)
 
@@ -164,9 +191,9 @@ class Limits:
         """Forces that valves still give at a speed, since the flow through them takes force of what the supply gives:
         f ± R·v² ≤ A·p_supply − A'·p_tank in both directions (see `ActuatorHydraulics.opening_for`)."""
         machine = self.model.machine
-        if machine.pump is None or machine.pump.pressure is None or machine.oil is None:
+        if self._force is None or machine.pump is None or machine.pump.pressure is None or machine.oil is None:
             return
-        force = _actuator_forces(self.model, ca.DM(self.model.parameters.nominal))
+        (force, more), opened = self._force, 1 - self.reserves.flow
         theta = parameter_set(machine)
         numbers = dict(zip(theta.names, theta.nominal.tolist(), strict=True))
         supply, tank = machine.pump.pressure, machine.pump.tank_pressure
@@ -180,43 +207,59 @@ class Limits:
             for sign, resistance, most in ((1, taken[0], a * supply - b * tank), (-1, taken[1], b * supply - a * tank)):
                 self._add(f"{actuator.name} valve {'forwards' if sign > 0 else 'backwards'}",
                           "N" if isinstance(actuator, Cylinder) else "N*m",
-                          sign * (force[k] + resistance / USED**2 * squared), upper=most - float(self.margin[k]),
-                          scale=most)
+                          sign * (force[k] + resistance / opened**2 * squared) + more[k], upper=most, scale=most)
 
-    def _passive(self) -> None:
-        hanging = self.hanging
-        for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
-                                      hanging.tolerance if hanging.joints else (), strict=True):
-            name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most)
+    def _workspace(self) -> None:
+        machine = self.model.machine
+        if machine.workspace is None:
+            return
+        last = machine.links[-1].name
+        tip = (self.model.dynamics.links[last].pose @ self.model.dynamics.geometry.far_end(last)).origin
+        for k, (low, high) in enumerate(zip(machine.workspace.lower, machine.workspace.upper, strict=True)):
+            self._add(f"workspace along {'xyz'[k]}", "m", tip[k], low, high, high - low)
 
-    def _positions(self) -> None:
-        machine, dynamics = self.model.machine, self.model.dynamics
-        ends = {link.name: (dynamics.links[link.name].pose @ dynamics.geometry.far_end(link.name)).origin
-                for link in machine.links}
-        tip = ends[machine.links[-1].name]
-        if machine.workspace is not None:
-            for k, (low, high) in enumerate(zip(machine.workspace.lower, machine.workspace.upper, strict=True)):
-                self._add(f"workspace along {'xyz'[k]}", "m", tip[k], low, high, high - low)
+    def _clearances(self) -> None:
+        machine, dynamics, reserves = self.model.machine, self.model.dynamics, self.reserves
+        found = parts(self.model)
         if machine.ground is not None:
-            for name, end in ends.items():
-                if not end[2].is_constant():
-                    self._add(f"{name} above ground", "m", end[2], machine.ground, scale=1.0)
+            for part in found:
+                for end in (part.end,) if part.link else (part.start, part.end):
+                    if not end[2].is_constant():
+                        self._add(f"{part.name} above ground", "m", end[2] - part.radius,
+                                  machine.ground + reserves.clearance, scale=1.0)
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
-            centre = ca.DM(obstacle.centre) if pose is None else pose.point(ca.DM(obstacle.centre))
-            self._add(f"distance to {obstacle.name}", "m", ca.norm_2(tip - centre), obstacle.radius)
+            centre = ca.SX(ca.DM(obstacle.centre)) if pose is None else pose.point(ca.DM(obstacle.centre))
+            for part in found:
+                away = self._from_obstacle(part, obstacle.link, centre)
+                if away is not None:
+                    self._add(f"distance of {part.name} to {obstacle.name}", "m", away - part.radius,
+                              obstacle.radius + reserves.clearance, scale=max(obstacle.radius, 1.0))
+        for one, other in pairs(self.model, reserves.between + WATCHED):
+            self._add(f"distance of {one.name} to {other.name}", "m", distance(one, other) - one.radius - other.radius,
+                      reserves.between, scale=1.0)
+
+    def _from_obstacle(self, part: Part, carrier: str, centre: ca.SX) -> ca.SX | None:
+        """Distance of a part from the centre of a ball on a link; of a link that is pinned there, of its outer half.
+
+        None if it is the carrier, or a cylinder that is pinned there, or if it does not move against it.
+        """
+        if part.link == carrier or (not part.link and carrier in part.bodies):
+            return None
+        if carrier in part.bodies:
+            part = part._replace(start=(part.start + part.end) / 2)
+        away, q = distance_to_point(part, centre), self.model.coordinates.q
+        return away if _varies(away, q) else None
 
     def _tipping(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
         if machine.footprint is None or machine.ground is None:
             return
-        psi, columns = self.model.parameters.nominal, self.model.parameters.bodies
-        owners = tuple(bodies(machine, actuator_inertia=self.model.actuator_inertia))
+        columns = self.model.parameters.bodies
         force, moment = ca.SX(3, 1), ca.SX(3, 1)
-        for owner in owners:
+        for owner in bodies(machine, actuator_inertia=self.model.actuator_inertia):
             motion = dynamics.body_motion(owner)
-            wrench = body_regressor(motion) @ ca.DM(psi[columns[owner]])
+            wrench = body_regressor(motion) @ self._psi[columns[owner].start:columns[owner].stop]
             body_force = motion.pose.rotation @ wrench[:3]
             force += body_force
             moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, body_force)
@@ -224,12 +267,31 @@ class Limits:
         force += weight
         moment += ca.cross(ca.DM(machine.footprint.com), weight)
         corners = [np.array([*corner, machine.ground]) for corner in machine.footprint.corners]
-        total = machine.gravity * (machine.footprint.mass + sum(psi[columns[owner].start] for owner in owners)) or 1.0
+        total = machine.gravity * (machine.footprint.mass + sum(
+            self.known.mean[columns[owner].start] for owner in columns)) or 1.0
+        middle, restoring = machine.footprint.middle, []
+        reserves = []
         for k, corner in enumerate(corners):
             edge = corners[(k + 1) % len(corners)] - corner
+            along = edge / np.linalg.norm(edge)
             # about each edge of the footprint the moment of the ground's force must not be negative
-            restoring = ca.dot(ca.DM(edge / np.linalg.norm(edge)), moment - ca.cross(ca.DM(corner), force))
-            self._add(f"tipping over edge {k + 1}", "N*m", restoring, 0.0, scale=total)
+            restoring.append(ca.dot(ca.DM(along), moment - ca.cross(ca.DM(corner), force)))
+            arm = along[0] * (middle[1] - corner[1]) - along[1] * (middle[0] - corner[0])
+            reserves.append(self.reserves.tipping * total * arm)
+        moving = ca.vertcat(*restoring)
+        # a motion that keeps both keeps them at any slower pace: what it adds grows with the square of the pace
+        stopped = ca.substitute(moving, ca.vertcat(*self.model.coordinates[1:]), ca.DM.zeros(2 * len(machine.joints)))
+        for value in (moving, stopped):
+            mean, more = self._worst(value)
+            for k, reserve in enumerate(reserves):
+                self._add(f"tipping over edge {k + 1}", "N*m", mean[k] - more[k], float(reserve), scale=total)
+
+    def _passive(self) -> None:
+        hanging = self.hanging
+        for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
+                                      hanging.tolerance if hanging.joints else (), strict=True):
+            name = self.model.machine.joints[joint]
+            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most)
 
 
 def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
@@ -239,20 +301,7 @@ def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
     return made(psi, actuator_inertia=model.actuator_inertia)
 
 
-def margins(model: Model, samples: int = 400, seed: int = 0) -> Array:
-    """Reserve of force [N, N·m] (a,) of each actuator for the uncertainty of the nominal parameters.
-
-    Twice the standard deviation of its force by the machine file's confidences, the median over random states within
-    the joints' limits; parameters without a stated confidence count as exact.
-    """
-    states = random_states(model, samples, np.random.default_rng(seed))
-    psi = ca.SX.sym("psi", len(model.parameters))
-    by_psi = model.regressor if model.machine.one_each else ca.Function(
-        "by_psi", [*model.coordinates], [ca.densify(ca.substitute(
-            ca.jacobian(_actuator_forces(model, psi), psi), psi, model.parameters.nominal))])
-    K = model.over(by_psi, *states)[0]
-    information = model.parameters.information
-    known = np.diag(information) > 0
-    covariance = np.linalg.inv(information[np.ix_(known, known)])
-    variance = np.einsum("tij,jk,tik->ti", K[:, :, known], covariance, K[:, :, known])
-    return np.asarray(2 * np.sqrt(np.median(variance, axis=0)))
+def _varies(value: ca.SX, q: ca.SX) -> bool:
+    """Whether a value changes with q."""
+    at = ca.Function("value", [q], [value]).map(2)(np.random.default_rng(0).uniform(-1, 1, (q.size1(), 2)))
+    return not np.ptp(np.asarray(at)) < VARIES

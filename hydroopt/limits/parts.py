@@ -1,0 +1,125 @@
+"""The parts of a machine as straight lines between their pins, and the distances between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.machine.loops import Loop
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.model.model import Model
+from hydroopt.model.scene_graph import SceneGraph
+
+CLOSE, OFTEN, POSTURES = 0.1, 0.25, 400
+"""Parts that are nearer than this [m] in more than this part of so many random postures are built close."""
+ROUNDING = 1e-12
+"""Square of a length [m²] that keeps distances and quotients differentiable where lines meet or have no length."""
+
+
+class Part(NamedTuple):
+    """A link from its joint to its far end, or a cylinder, rod or spring from pin to pin; all in the base frame.
+
+    `start` and `end` (3,) [m] are expressions of q; `radius` [m] is that of a barrel, zero where none is known. `link`
+    is the link that it is, empty for a strut; `carriers` are the links that carry its ends.
+    """
+
+    name: str
+    start: ca.SX
+    end: ca.SX
+    radius: float
+    link: str
+    carriers: frozenset[str]
+
+    @property
+    def bodies(self) -> frozenset[str]:
+        """The link that it is and those that carry it."""
+        return self.carriers | ({self.link} if self.link else frozenset())
+
+
+def parts(model: Model) -> tuple[Part, ...]:
+    """All links but axes without body and length, then all struts, of a machine."""
+    machine, dynamics = model.machine, model.dynamics
+    poses = {link.name: dynamics.links[link.name].pose for link in machine.links}
+    ends = {link.name: dynamics.geometry.far_end(link.name) for link in machine.links}
+    links = [Part(link.name, poses[link.name].origin, (poses[link.name] @ ends[link.name]).origin, 0.0, link.name,
+                  frozenset({link.parent})) for link in machine.links
+             if link.body is not None or np.any(np.asarray(ca.DM(ends[link.name].origin)))]
+
+    def at(point: tuple[str, tuple[float, float, float]]) -> ca.SX:
+        link, place = point
+        return ca.SX(ca.DM(place)) if link == BASE else poses[link].point(ca.DM(place))
+
+    struts = [Part(strut.name, at(strut.start), at(strut.end), strut.diameter / 2 if strut.kind == "cylinder" else 0.0,
+                   "", frozenset({strut.start[0], strut.end[0]})) for strut in SceneGraph(machine).struts]
+    return (*links, *struts)
+
+
+def pairs(model: Model, within: float) -> Iterator[tuple[Part, Part]]:
+    """Two links, or a link and a strut, that may come nearer to each other than `within` [m].
+
+    Left out are those that a pin or joint joins, sections of a telescope and what they carry, parts of one linkage, and
+    those that are built close: nearer than `CLOSE` in more than `OFTEN` of random postures.
+    """
+    machine, found = model.machine, parts(model)
+    sections = {link.name: _section(machine, link.name) for link in machine.links} | {BASE: BASE}
+    linkages = [frozenset(_linkage(machine, loop)) for loop in machine.loops]
+
+    def joined(one: Part, other: Part) -> bool:
+        return bool(one.link) and sections[one.link] in {sections[each] for each in other.bodies}
+
+    apart = [(one, other) for k, one in enumerate(found) for other in found[k + 1:]
+             if one.link and not joined(one, other) and not joined(other, one)
+             and not any(one.link in linkage and other.bodies <= linkage for linkage in linkages)]
+    if not apart:
+        return
+    between = ca.Function("between", [model.coordinates.q], [ca.vertcat(*(
+        distance(one, other) - one.radius - other.radius for one, other in apart))])
+    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
+    for pair, every in zip(apart, np.asarray(between.map(POSTURES)(drawn.T)), strict=True):
+        values = every[np.isfinite(every)]  # where linkages close
+        if values.size and np.min(values) < within and np.mean(values < CLOSE) <= OFTEN:
+            yield pair
+
+
+def _section(machine: Machine, link: str) -> str:
+    """The first section of the telescope that a link belongs to, or itself."""
+    while link != BASE and machine.link(link).joint.type == "prismatic":
+        link = machine.link(link).parent
+    return link
+
+
+def _linkage(machine: Machine, loop: Loop) -> Iterator[str]:
+    """The links of a closed loop."""
+    for joint in machine.joints_between(loop.link, loop.to.link):
+        yield from (joint, machine.link(joint).parent)
+
+
+def distance_to_point(part: Part, point: ca.SX) -> ca.SX:
+    """Distance [m] of a part's line from a point (3,)."""
+    along = part.end - part.start
+    share = _share(ca.dot(point - part.start, along) / (ca.sumsqr(along) + ROUNDING))
+    return _length(part.start + share * along - point)
+
+
+def distance(one: Part, other: Part) -> ca.SX:
+    """Distance [m] between the lines of two parts (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    first, second, between = one.end - one.start, other.end - other.start, one.start - other.start
+    a, e, b = ca.sumsqr(first) + ROUNDING, ca.sumsqr(second) + ROUNDING, ca.dot(first, second)
+    c, f = ca.dot(first, between), ca.dot(second, between)
+    s = _share((b * f - c * e) / (a * e - b * b + ROUNDING))
+    t = _share((b * s + f) / e)
+    s = _share((b * t - c) / a)
+    return _length(between + s * first - t * second)
+
+
+def _share(value: ca.SX) -> ca.SX:
+    """A value within 0 and 1."""
+    return (ca.fabs(value) - ca.fabs(value - 1) + 1) / 2
+
+
+def _length(vector: ca.SX) -> ca.SX:
+    return ca.sqrt(ca.sumsqr(vector) + ROUNDING)

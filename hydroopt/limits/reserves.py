@@ -1,0 +1,72 @@
+"""What motions and poses leave unused of a machine's limits: one number by kind of limit."""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+from typing import NamedTuple
+
+from hydroopt.errors import ProblemError
+
+
+class Reserves(NamedTuple):
+    """Reserves that a designed motion and planned poses keep.
+
+    Attributes:
+        flow: part of the pump's flow, and of each valve's opening, for leaks and a controller that catches up.
+        pressure: part of relief pressures and largest torques.
+        tipping: part of the moment with which the machine's weight, acting in the middle of its footprint, would hold
+            it against tipping over an edge.
+        clearance: distance of links, cylinders and rods from ground and obstacles [m].
+        between: distance of the machine's own parts from each other [m].
+        certainty: probability with which pressures, valves and tipping keep them, whatever the uncertain parameters
+            are: each limit alone.
+
+    Raises:
+        ProblemError: a reserve leaves nothing, or is negative.
+
+    >>> Reserves().flow, round(Reserves().deviations, 3)
+    (0.1, 2.326)
+    >>> Reserves.none().deviations
+    0.0
+    """
+
+    flow: float = 0.1
+    pressure: float = 0.1
+    tipping: float = 0.1
+    clearance: float = 0.3
+    between: float = 0.1
+    certainty: float = 0.99
+
+    @classmethod
+    def none(cls) -> Reserves:
+        """None at all: the limits themselves, at the nominal parameters."""
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
+
+    @property
+    def deviations(self) -> float:
+        """Standard deviations that leave this certainty."""
+        return NormalDist().inv_cdf(self.certainty) if self.certainty != 0.5 else 0.0
+
+    def checked(self) -> Reserves:
+        """Itself.
+
+        Raises:
+            ProblemError: see the class.
+        """
+        for name in ("flow", "pressure", "tipping"):
+            if not 0 <= (part := getattr(self, name)) < 1:
+                raise ProblemError(f"a reserve of {100 * part:.4g} % of {name} " + (
+                    "leaves nothing to use" if part >= 1 else "is not possible"), where="--reserve",
+                    remedy="give a part from 0 up to less than 100 %, such as 10 %")
+        for name in ("clearance", "between"):
+            if not 0 <= (size := getattr(self, name)) < float("inf"):
+                raise ProblemError(f"a distance of {size:.4g} m cannot be kept", where="--reserve",
+                                   remedy="give a length that is not negative, such as 0.3 m")
+        if not 0.5 <= self.certainty < 1:
+            raise ProblemError(f"a certainty of {100 * self.certainty:.6g} % cannot be kept", where="--reserve",
+                               remedy="give 50 % or more, and less than 100 %, such as 99 %")
+        return self
+
+
+DEFAULT = Reserves()
+"""The reserves that are kept unless others are stated."""
