@@ -52,6 +52,18 @@ def excite(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
         help="Joint that rests, JOINT=POSITION with unit, e.g. 'swing=0 deg'; repeatable.")] = None,
+    reserve: Annotated[list[str] | None, typer.Option(metavar="PART|KIND=AMOUNT", help=(
+        "What to keep unused: '15 %' of flow, pressure and tipping (10 % if not given), or one kind, such as "
+        "'clearance=0.5 m' to ground and obstacles (0.3 m), 'between=0.2 m' between the machine's own parts (0.1 m), "
+        "'tipping=20 %' or 'certainty=99.9 %' for uncertain masses (99 %); repeatable."))] = None,
+    estimate: Annotated[Path | None, typer.Option(metavar="DIR", help=(
+        "Directory that identify wrote from this machine file: pressures, valves and tipping keep reserves under what "
+        "it leaves uncertain, instead of the file's confidences."))] = None,
+    speed: Annotated[str, typer.Option(help=(
+        "Part of the designed speed at which trajectory and C code drive the same path, e.g. '30 %'."))] = "100 %",
+    start: Annotated[list[str] | None, typer.Option(metavar="JOINT=POSITION", help=(
+        "Where the machine stands, e.g. 'boom=-20 deg', from which an approach to the motion is planned; other joints "
+        "stand as the motion starts; repeatable."))] = None,
     rate: Rate = None,
     criterion: Annotated[str | None, typer.Option(help="D, A, E or condition; D if not given.")] = None,
     focus: Focus = None,
@@ -76,12 +88,16 @@ def excite(
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.routines import DesignedMotion
-    from hydroopt.excitation.motion.design import excitation_problem
+    from hydroopt.excitation.motion.design import at_pace, excitation_problem
+    from hydroopt.excitation.motion.known import identified
     from hydroopt.files import refuse_directory
+    from hydroopt.limits.reserves import Reserves
     from hydroopt.logs.stream import open_log
     from hydroopt.report import excitation as report
+    from hydroopt.report import operator_sheet
     from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
+    from hydroopt.units import to_si
 
     began = time.perf_counter()
     if pieces is not None:
@@ -89,20 +105,34 @@ def excite(
                      "leave it out, or --pieces")
     if not log:
         refuse_given({"--map": map_file}, "there is no log that it could describe", "leave it out, or give --log")
-    refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
+    refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
+                              "trajectory.parquet", "approach.csv", "approach.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
-    basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _resting(described, rest or ())
+    basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _positions(
+        described, rest or (), "--rest")
+    reserves, pace, standing = Reserves.stated(reserve or ()), to_si(speed, "1", where="--speed"), _positions(
+        described, start or (), "--start")
+    if not 0 < pace <= 1:
+        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
+                           remedy="give more than 0 and at most 100 %, such as '50 %'")
+    _refuse_nothing_to_keep(described, reserve or ())
     with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
-                                     logs=logs, rate=rate, resting=resting)
+                                     logs=logs, rate=rate, resting=resting, reserves=reserves,
+                                     known=None if estimate is None else identified(described, estimate))
         say("taking the first steps of each start")
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
+        motion = at_pace(motion, pace)
+        if start:
+            say("planning the approach", 0.8)
+            motion = motion.approached_from(standing)
         say("computing the expected accuracy, writing the report and the code", 0.8)
         code = Code(described, origin, routines=["excitation"],
-                    designed_motion=DesignedMotion(motion.function, basis.duration))
-        pages: dict[str, str | bytes | None] = {"report.html": report.render(motion)}
+                    designed_motion=DesignedMotion(motion.function, motion.problem.basis.duration))
+        pages: dict[str, str | bytes | None] = {"report.html": report.render(motion),
+                                                "sheet.html": operator_sheet.render(motion)}
         pages |= {f"c/{name}": text for name, text in code.files_for(output / "c").items()}
         motion.save(output, pages=pages, wall_s=time.perf_counter() - began, parquet=parquet)
     print_answer(motion, output, quiet=quiet, as_json=as_json)
@@ -124,14 +154,26 @@ def _basis(duration: float, pieces: int | None, period: float | None, harmonics:
     return Fourier(period, harmonics, int(left / period * (1 + 1e-9)), blend)
 
 
-def _resting(machine: Machine, stated: Sequence[str]) -> dict[str, float]:
+def _positions(machine: Machine, stated: Sequence[str], option: str) -> dict[str, float]:
+    """Positions [rad, m] by joint, from JOINT=POSITION texts."""
     from hydroopt.units import to_si
 
     at = {}
     for text in stated:
         joint, found, value = (part.strip() for part in text.partition("="))
         if not found:
-            raise ProblemError(f"'{text}' is not JOINT=POSITION", where="--rest",
-                               remedy="write e.g. --rest 'swing=0 deg'")
-        at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"--rest {joint}")
+            raise ProblemError(f"'{text}' is not JOINT=POSITION", where=option,
+                               remedy=f"write e.g. {option} 'swing=0 deg'")
+        at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"{option} {joint}")
     return at
+
+
+def _refuse_nothing_to_keep(machine: Machine, stated: Sequence[str]) -> None:
+    """Refuse a reserve that is stated of a limit that the machine file does not state."""
+    kinds = {text.partition("=")[0].strip() for text in stated if "=" in text}
+    if "clearance" in kinds and machine.ground is None and not machine.obstacles:
+        raise ProblemError("the machine file states neither ground nor obstacles to keep clear of", where="--reserve",
+                           remedy="state 'ground', the height of the ground in the base frame, or leave it out")
+    if "tipping" in kinds and machine.footprint is None:
+        raise ProblemError("the machine file states no footprint over whose edges it could tip", where="--reserve",
+                           remedy="state 'footprint', or leave it out")

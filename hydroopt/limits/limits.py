@@ -233,8 +233,8 @@ class Limits:
             for part in found:
                 away = self._from_obstacle(part, obstacle.link, centre)
                 if away is not None:
-                    self._add(f"distance of {part.name} to {obstacle.name}", "m", away - part.radius,
-                              obstacle.radius + reserves.clearance, scale=max(obstacle.radius, 1.0))
+                    self._add(f"distance of {part.name} to {obstacle.name}", "m",
+                              away - part.radius - obstacle.radius, reserves.clearance, scale=1.0)
         for one, other in pairs(self.model, reserves.between + WATCHED):
             self._add(f"distance of {one.name} to {other.name}", "m", distance(one, other) - one.radius - other.radius,
                       reserves.between, scale=1.0)

@@ -15,6 +15,8 @@ from hydroopt.model.scene_graph import SceneGraph
 
 CLOSE, OFTEN, POSTURES = 0.1, 0.25, 400
 """Parts that are nearer than this [m] in more than this part of so many random postures are built close."""
+VARIES = 1e-6
+"""Change of a distance [m] over these postures from which on it varies."""
 ROUNDING = 1e-12
 """Square of a length [m²] that keeps distances and quotients differentiable where lines meet or have no length."""
 
@@ -81,7 +83,7 @@ def pairs(model: Model, within: float) -> Iterator[tuple[Part, Part]]:
     drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
     for pair, every in zip(apart, np.asarray(between.map(POSTURES)(drawn.T)), strict=True):
         values = every[np.isfinite(every)]  # where linkages close
-        if values.size and np.min(values) < within and np.mean(values < CLOSE) <= OFTEN:
+        if values.size and np.min(values) < within and np.ptp(values) > VARIES and np.mean(values < CLOSE) <= OFTEN:
             yield pair
 
 

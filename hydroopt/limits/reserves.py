@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import NamedTuple
 
 from hydroopt.errors import ProblemError
+from hydroopt.units import to_si
 
 
 class Reserves(NamedTuple):
@@ -41,6 +43,29 @@ class Reserves(NamedTuple):
     def none(cls) -> Reserves:
         """None at all: the limits themselves, at the nominal parameters."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
+
+    @classmethod
+    def stated(cls, texts: Sequence[str]) -> Reserves:
+        """The default ones but for what texts state: ``15 %`` of flow, pressure and tipping, or ``KIND=AMOUNT``.
+
+        Raises:
+            ProblemError: there is no such kind, or a reserve leaves nothing.
+            UnitError: an amount has no unit, or one of another kind.
+
+        >>> Reserves.stated(["20 %", "clearance=0.5 m"])[:4]
+        (0.2, 0.2, 0.2, 0.5)
+        """
+        found: dict[str, float] = {}
+        for text in texts:
+            kind, named, amount = (part.strip() for part in text.partition("="))
+            if named and kind not in cls._fields:
+                raise ProblemError(f"there is no reserve '{kind}'", where="--reserve",
+                                   remedy=f"give a part for all, such as '15 %', or KIND=AMOUNT with one of "
+                                          f"{', '.join(cls._fields)}")
+            unit = "m" if kind in ("clearance", "between") else "1"
+            value = to_si(amount if named else text, unit, where="--reserve")
+            found |= {kind: value} if named else dict.fromkeys(("flow", "pressure", "tipping"), value)
+        return cls(**found).checked()
 
     @property
     def deviations(self) -> float:

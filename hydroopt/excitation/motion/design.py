@@ -32,6 +32,7 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
+from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
 from hydroopt.limits.limits import Limits
@@ -158,6 +159,32 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
                        "tried, however small", where="excitation",
                        remedy="correct these limits in the machine file, keep smaller reserves, or give more time")
+
+
+def at_pace(found: Excitation, pace: float) -> Excitation:
+    """The same path, driven at a part of its pace; made smaller where slower motion asks for more, as of pressures.
+
+    Raises:
+        ProblemError: the pace is not above 0 and at most 1, or passive joints swing beyond limits.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> from hydroopt.excitation.motion.basis import Fourier
+        >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
+        >>> motion = ho.solve(problem, starts=1, seconds=0.5)
+        >>> slow = at_pace(motion, 0.5)
+        >>> slow.problem.basis.duration, min(use.room for use in slow.limits) >= 0
+        (20.0, True)
+    """
+    if not 0 < pace <= 1:
+        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its pace", where="--speed",
+                           remedy="give more than 0 and at most 100 %, such as 50 %")
+    if pace == 1:
+        return found
+    own = found.problem
+    problem = ExcitationProblem(own.information, own.limits, Slowed(own.basis, pace), own.rate, own.resting, own.inputs)
+    rest = resting_posture(problem, np.random.default_rng(found.seed))
+    return _as_it_swings(replace(found, problem=problem, x=shrunk(problem, found.x, rest)), rest)
 
 
 def _as_it_swings(found: Excitation, rest: Array) -> Excitation:

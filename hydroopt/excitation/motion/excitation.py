@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamic.usability import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
+from hydroopt.excitation.motion.approach import Approach, approach, start_of
 from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
@@ -39,6 +40,14 @@ TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
 
 
+class Swept(NamedTuple):
+    """The space that a machine moves in, in the base frame [m]: radius about its z axis, highest and lowest place."""
+
+    radius: float
+    highest: float
+    lowest: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Excitation(Answer):
     """A designed motion, what it uses of the limits, and the accuracy to expect of an identification from it.
@@ -49,6 +58,7 @@ class Excitation(Answer):
         seed: of the starts, and of the log that is simulated for the expected accuracy.
         starts: random motions from which the search started.
         stopped: whether the search was interrupted.
+        approach: from where the machine stands to the first posture, if that was stated.
 
     Example:
         >>> import hydroopt as ho
@@ -70,6 +80,7 @@ class Excitation(Answer):
     seed: int = 0
     starts: int = 1
     stopped: bool = False
+    approach: Approach | None = None
 
     @property
     def machine_id(self) -> MachineId:
@@ -121,7 +132,8 @@ class Excitation(Answer):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """Drive it, and identify."""
-        return (NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
+        return (NextStep(Action.DRIVE, "Go through sheet.html with the operator."),
+                NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
                 NextStep(Action.USE, "Then 'hydroopt identify MACHINE LOG --holdout 0.3 -o DIR'."))
 
     @property
@@ -147,6 +159,10 @@ class Excitation(Answer):
             "focus": list(problem.parameters.focus_names), "priors": problem.parameters.bayesian,
             "seed": self.seed, "starts": self.starts, "rate": problem.rate, "duration": basis.duration,
             "samples": problem.samples, "resting": problem.resting,
+            "reserves": problem.limits.reserves._asdict(), "first_posture": self._first_posture,
+            "approach": None if self.approach is None else {
+                "postures": self.approach.postures.tolist(), "arrivals": self.approach.arrivals.tolist(),
+                "less_than_reserves_at_start": list(self.approach.short)},
             "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()}, "functions": list(basis.names),
             "coefficients": {joint: self.coefficients[:, k].tolist() for k, joint in enumerate(problem.machine.joints)},
             "limits": [{"name": use.name, "unit": use.unit, "lower": number(use.lower), "lowest": use.lowest,
@@ -156,14 +172,33 @@ class Excitation(Answer):
                                                                  self.accuracy.bias, strict=True)]}
 
     def files(self, *, parquet: bool = False) -> Mapping[str, str | bytes]:
-        """The trajectory as CSV or Parquet: position, speed and acceleration of every joint at the controller's rate.
-        """
-        path, columns = self.trajectory, {"t [s]": self.trajectory.t}
+        """Trajectory and approach as CSV or Parquet: position, speed and acceleration of every joint at the rate."""
+        paths = {"trajectory": self.trajectory} | ({} if self.approach is None else
+                                                   {"approach": self.approach.trajectory})
+        return {f"{name}.{'parquet' if parquet else 'csv'}": encoded_columns(self._columns(path), parquet=parquet)
+                for name, path in paths.items()}
+
+    def _columns(self, path: Trajectory) -> dict[str, Array]:
+        columns = {"t [s]": path.t}
         for k, joint in enumerate(self.problem.machine.joints):
             unit = self.problem.machine.channel_units[f"{joint}.q"]
             columns |= {f"{joint}.q [{unit}]": path.q[:, k], f"{joint}.qd [{unit}/s]": path.qd[:, k],
                         f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
-        return {f"trajectory.{'parquet' if parquet else 'csv'}": encoded_columns(columns, parquet=parquet)}
+        return columns
+
+    @property
+    def _first_posture(self) -> dict[str, float]:
+        return dict(zip(self.problem.machine.joints, self.trajectory.q[0].tolist(), strict=True))
+
+    def approached_from(self, stated: Mapping[str, float]) -> Excitation:
+        """Itself with an approach from where the machine stands: positions [rad, m]; other joints stand as it starts.
+
+        Raises:
+            ProblemError: the machine cannot stand there, or no way was found.
+        """
+        goal = self.trajectory.q[0]
+        start = start_of(self.problem.machine, stated, goal)
+        return replace(self, approach=approach(self.problem.limits, start, goal, self.problem.rate, seed=self.seed))
 
     def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes | None] | None = None,
              wall_s: float = float("nan"), parquet: bool = False) -> None:
@@ -191,6 +226,15 @@ class Excitation(Answer):
         """Path (N, 3) [m] of the last link's far end."""
         model = self.problem.information.model
         return np.asarray(model.over(model.forward_kinematics, self.trajectory.q)[-1][:, :3, 3])
+
+    @cached_property
+    def swept(self) -> Swept:
+        """The space that the far ends of all links pass through, on the approach too."""
+        model = self.problem.information.model
+        q = np.vstack([self.trajectory.q, *([] if self.approach is None else [self.approach.trajectory.q])])
+        ends = np.concatenate([pose[:, :3, 3] for pose in model.over(model.forward_kinematics, q)])
+        return Swept(float(np.max(np.hypot(ends[:, 0], ends[:, 1]))), float(np.max(ends[:, 2])),
+                     float(np.min(ends[:, 2])))
 
     @property
     def base_nominal(self) -> Array:

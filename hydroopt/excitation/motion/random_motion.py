@@ -34,7 +34,7 @@ def resting_posture(problem: ExcitationProblem, rng: np.random.Generator) -> Arr
         tight = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero((worst <= 0) & (worst > -TIGHT)))
         what = "in any posture" if never else "together in any posture"
         raise ProblemError(f"{', '.join(never or broken | tight)} cannot be kept {what}", where="excitation",
-                           remedy="correct these limits in the machine file or the posture of joints that rest, or keep "
+                           remedy="correct these limits in the machine file, the posture of joints that rest, or keep "
                            "smaller reserves")
     return problem.posture(best)
 

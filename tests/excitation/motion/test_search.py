@@ -151,7 +151,8 @@ def ball(centre: tuple[float, float, float], radius: float) -> tuple[Obstacle, .
 
 NOWHERE = Workspace(lower=(5.0, -1.0, -1.0), upper=(7.0, 1.0, 1.0))
 IMPOSSIBLE = {
-    "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)}, "distance of .* to shed.* cannot be kept in any"),
+    "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)},
+                                 "distance of .* to shed.* cannot be kept in any"),
     "ground above everything": ({"ground": 20.0}, "boom above ground, stick above ground.* cannot be kept in any"),
     "relief below what holds the boom": (dict(relieved(20.0)), "boom_cylinder p_head.* cannot be kept in any"),
     "a ball that fills the workspace": (
