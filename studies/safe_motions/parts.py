@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from studies.safe_motions.sites import random_basis, random_site
-from studies.safe_motions.witness import Witness
 
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.motion.design import excitation_problem
@@ -15,6 +13,8 @@ from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.kernels import native
+from studies.safe_motions.sites import random_basis, random_site
+from studies.safe_motions.witness import Witness
 
 RATE, STEPS, BACK_OFF = 20.0, 12, 0.001
 NEAR = 0.05

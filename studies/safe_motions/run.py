@@ -1,11 +1,12 @@
-"""1000 random machines and sites: what designed motions keep under 100 draws of the uncertain masses, looked at anew."""
+"""1000 random machines and sites: what designed motions keep under 100 draws of the uncertain masses."""
 
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
-from studies.safe_motions.parts import outcomes
+
+from studies.safe_motions.parts import Outcome, outcomes
 
 SETTINGS, CORES, EACH = 1000, 2, 10
 ROUNDING = 0.002
@@ -15,8 +16,12 @@ ROUNDING = 0.002
 def run() -> dict:
     """How many motions break what."""
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
-        found = [one for part in pool.map(outcomes, [range(k, k + EACH) for k in range(0, SETTINGS, EACH)])
-                 for one in part]
+        return summed([one for part in pool.map(outcomes, [range(k, k + EACH) for k in range(0, SETTINGS, EACH)])
+                       for one in part])
+
+
+def summed(found: list[Outcome]) -> dict:
+    """Of all outcomes together."""
     kept = [one for one in found if not one.refused]
     return {"settings": len(found), "motions": len(kept), "that_move": sum(one.moves for one in kept),
             "near_tipping": sum(one.tips for one in kept), "near_parts_or_obstacles": sum(one.touches for one in kept),
@@ -27,7 +32,8 @@ def run() -> dict:
             "motions_that_use_a_reserve_at_an_instant_in_more_than_5_percent_of_draws": sum(
                 one.used > 0.05 for one in kept),
             "largest_percent_of_draws_that_use_a_reserve_at_an_instant": 100 * max(one.used for one in kept),
-            "percent_of_draws_that_use_any_reserve_at_any_time": 100 * float(np.mean([one.used_at_all for one in kept])),
+            "percent_of_draws_that_use_any_reserve_at_any_time": 100 * float(
+                np.mean([one.used_at_all for one in kept])),
             "motions_that_miss_a_clearance": sum(one.short > ROUNDING for one in kept),
             "largest_miss_of_a_clearance_mm": 1e3 * max(one.short for one in kept),
             "missed": dict(Counter(one.nearest for one in kept if one.short > ROUNDING)),

@@ -10,8 +10,7 @@ from hydroopt import Machine, load_machine
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.machine.environment import Footprint, Obstacle, Pump
 
-BASES = ("cat215b", "cat215b", "cat215b", "tampere_manipulator", "tampere_manipulator", "knuckle_boom_crane",
-         "mini_excavator")
+BASES = ("cat215b", "cat215b", "cat215b", "tampere_manipulator", "tampere_manipulator", "knuckle_boom_crane")
 STEEPEST = np.radians(6.0)
 
 

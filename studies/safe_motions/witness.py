@@ -62,7 +62,7 @@ class Witness:
         at = [np.asarray(poses.map(len(self.t))(self.course(self.t + shift).T)).reshape(
             3, len(self.t), len(owners), 4).transpose(1, 2, 0, 3) for shift in (-STEP, 0.0, STEP)]
         second = (at[0] - 2 * at[1] + at[2]) / STEP**2
-        roll, pitch, yaw = machine.orientation
+        roll, pitch, _ = machine.orientation
         down = np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)]) * machine.gravity
         corners = np.array([[*corner, machine.ground] for corner in foot.corners])
         edges = np.roll(corners, -1, axis=0) - corners

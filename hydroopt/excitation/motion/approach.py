@@ -228,8 +228,9 @@ class _Search:
         values = self.limits.values(*moved)
         broken = np.any((values < self.lower) | (values > self.upper), axis=0)
         names = dict.fromkeys(self.limits.rows[k].name for k in np.flatnonzero(broken))
-        raise ProblemError(f"{', '.join(names)} cannot be kept on the way to the motion's first posture, however "
-                           "slowly", where="--start", remedy="drive the machine nearer by hand, or keep smaller reserves")
+        raise ProblemError(f"{', '.join(names)} cannot be kept on the way to the motion's first posture, "
+                           "however slowly", where="--start",
+                           remedy="drive the machine nearer by hand, or keep smaller reserves")
 
 
 def _way(tree: tuple[list[Array], list[int]]) -> list[Array]:
