@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,18 +14,28 @@ from hydroopt.cli.answers import print_answer, refuse_refuted
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
+    EstimateFolder,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
+    Reserve,
     SmoothingText,
     TrainingLogs,
     Treat,
     progress,
     reading,
+    refuse_given,
+    reserves_of,
     smoothing_of,
 )
 from hydroopt.cli.terminal import echo
+from hydroopt.errors import SolverError
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.log_check import LogCheck
+    from hydroopt.logs.any_log import AnyLog
+    from hydroopt.machine.machine import Machine
 
 
 def check(
@@ -36,27 +47,42 @@ def check(
     treat: Treat = None,
     smoothing: SmoothingText = "spline",
     bandwidth: Bandwidth = None,
+    reserve: Reserve = None,
+    estimate: EstimateFolder = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check logs before identifying: can they be used, what is suspicious, and what would they determine.
+    """Check logs before identifying, or motions before driving: what they determine, and which limits they break.
 
-    Ends with exit code 3 if a log contradicts the machine file as it is read.
+    A log without forces is a motion: every limit that it uses or breaks is listed with time, place and amount. Ends
+    with exit code 3 if a log contradicts the machine file as it is read, or a motion breaks a limit.
 
     Example: hydroopt check cat215b out/run/log.csv
     """
+    from hydroopt.checks.motion import MotionCheck, check_motion
     from hydroopt.estimation.dynamic.log_check import check_logs
+    from hydroopt.excitation.motion.known import identified
+    from hydroopt.logs.log_files import read_log
     from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import load_machine
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
+    reserves = reserves_of(described, reserve or ())
+    found: LogCheck | MotionCheck
     with progress(f"checking {described.name}", quiet) as say:
         say("reading logs", 0.0)
         read = reading(open_log, described, map_file, treat)(logs)
         say("smoothing and weighting", 0.2)
-        found = check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described))
+        if not _have_forces(described, read):
+            known = None if estimate is None else identified(described, estimate)
+            found = check_motion(described, reading(read_log, described, map_file, treat)(logs), reserves=reserves,
+                                 known=known)
+        else:
+            refuse_given({"--reserve": reserve, "--estimate": estimate}, "these logs have forces: they are checked for "
+                         "an identification", "leave it out, or give motions without forces")
+            found = check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described))
         say("searching for faults", 0.6)
         content = found.content(wall_s=time.perf_counter() - began)
         if output is not None:
@@ -65,4 +91,15 @@ def check(
         echo(json.dumps(content, indent=1))
     else:
         print_answer(found, output or Path(), quiet=quiet, as_json=False)
-    refuse_refuted(found, output or Path(", ".join(str(path) for path in logs)))
+    where = output or Path(", ".join(str(path) for path in logs))
+    refuse_refuted(found, where)
+    if isinstance(found, MotionCheck) and (broken := list(dict.fromkeys(
+            each.use.name for each in found.table if each.broken))):
+        raise SolverError(f"the motion breaks {', '.join(broken)}", where=str(where),
+                          remedy="drive it slower or over less range, or correct the limits in the machine file")
+
+
+def _have_forces(machine: Machine, logs: Sequence[AnyLog]) -> bool:
+    """Whether any log has a channel of an actuator's force, torque or pressure."""
+    of_forces = {channel for each in machine.actuators for channel in each.effort_factors}
+    return any(channel in of_forces for log in logs for channel in log.channels)

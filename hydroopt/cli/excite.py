@@ -15,6 +15,7 @@ from hydroopt.cli.options import (
     AsJson,
     AsParquet,
     Directory,
+    EstimateFolder,
     Focus,
     MachineName,
     MapFile,
@@ -23,10 +24,12 @@ from hydroopt.cli.options import (
     Processes,
     Quiet,
     Rate,
+    Reserve,
     Seed,
     Starts,
     progress,
     refuse_given,
+    reserves_of,
 )
 from hydroopt.errors import ProblemError
 
@@ -52,13 +55,8 @@ def excite(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
         help="Joint that rests, JOINT=POSITION with unit, e.g. 'swing=0 deg'; repeatable.")] = None,
-    reserve: Annotated[list[str] | None, typer.Option(metavar="PART|KIND=AMOUNT", help=(
-        "What to keep unused: '15 %' of flow, pressure and tipping (10 % if not given), or one kind, such as "
-        "'clearance=0.5 m' to ground and obstacles (0.3 m), 'between=0.2 m' between the machine's own parts (0.1 m), "
-        "'tipping=20 %' or 'certainty=99.9 %' for uncertain masses (99 %); repeatable."))] = None,
-    estimate: Annotated[Path | None, typer.Option(metavar="DIR", help=(
-        "Directory that identify wrote from this machine file: pressures, valves and tipping keep reserves under what "
-        "it leaves uncertain, instead of the file's confidences."))] = None,
+    reserve: Reserve = None,
+    estimate: EstimateFolder = None,
     speed: Annotated[str, typer.Option(help=(
         "Part of the designed speed at which trajectory and C code drive the same path, e.g. '30 %'."))] = "100 %",
     start: Annotated[list[str] | None, typer.Option(metavar="JOINT=POSITION", help=(
@@ -91,7 +89,6 @@ def excite(
     from hydroopt.excitation.motion.design import at_pace, excitation_problem
     from hydroopt.excitation.motion.known import identified
     from hydroopt.files import refuse_directory
-    from hydroopt.limits.reserves import Reserves
     from hydroopt.logs.stream import open_log
     from hydroopt.report import excitation as report
     from hydroopt.report import operator_sheet
@@ -110,12 +107,11 @@ def excite(
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _positions(
         described, rest or (), "--rest")
-    reserves, pace, standing = Reserves.stated(reserve or ()), to_si(speed, "1", where="--speed"), _positions(
+    reserves, pace, standing = reserves_of(described, reserve or ()), to_si(speed, "1", where="--speed"), _positions(
         described, start or (), "--start")
     if not 0 < pace <= 1:
         raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
                            remedy="give more than 0 and at most 100 %, such as '50 %'")
-    _refuse_nothing_to_keep(described, reserve or ())
     with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
@@ -166,14 +162,3 @@ def _positions(machine: Machine, stated: Sequence[str], option: str) -> dict[str
                                remedy=f"write e.g. {option} 'swing=0 deg'")
         at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"{option} {joint}")
     return at
-
-
-def _refuse_nothing_to_keep(machine: Machine, stated: Sequence[str]) -> None:
-    """Refuse a reserve that is stated of a limit that the machine file does not state."""
-    kinds = {text.partition("=")[0].strip() for text in stated if "=" in text}
-    if "clearance" in kinds and machine.ground is None and not machine.obstacles:
-        raise ProblemError("the machine file states neither ground nor obstacles to keep clear of", where="--reserve",
-                           remedy="state 'ground', the height of the ground in the base frame, or leave it out")
-    if "tipping" in kinds and machine.footprint is None:
-        raise ProblemError("the machine file states no footprint over whose edges it could tip", where="--reserve",
-                           remedy="state 'footprint', or leave it out")

@@ -19,6 +19,7 @@ from hydroopt.progress import Progress
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
+    from hydroopt.limits.reserves import Reserves
     from hydroopt.logs.any_log import AnyLog
     from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
@@ -85,6 +86,15 @@ Bandwidth = Annotated[float | None, typer.Option(
     help="Highest frequency of the motion [Hz], for spline; that of the machine file if not given.")]
 
 
+Reserve = Annotated[list[str] | None, typer.Option("--reserve", metavar="PART|KIND=AMOUNT", help=(
+    "What is kept unused: '15 %' of flow, pressure and tipping (10 % if not given), or one kind, such as "
+    "'clearance=0.5 m' to ground and obstacles (0.3 m), 'between=0.2 m' between the machine's own parts (0.1 m), "
+    "'tipping=20 %' or 'certainty=99.9 %' under uncertain masses (99 %); repeatable."))]
+EstimateFolder = Annotated[Path | None, typer.Option("--estimate", metavar="DIR", help=(
+    "Directory that identify wrote from this machine file: pressures, valves and tipping keep reserves under what it "
+    "leaves uncertain, instead of the file's confidences."))]
+
+
 @contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Progress]:
     """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
@@ -120,6 +130,25 @@ def loss_of(text: str, where: str) -> Loss:
     if text not in ("squares", "huber", "student_t"):
         raise ProblemError(f"the loss '{text}' does not exist", where=where, remedy="use squares, huber or student_t")
     return text  # type: ignore[return-value]
+
+
+def reserves_of(machine: Machine, stated: Sequence[str]) -> Reserves:
+    """The reserves that --reserve states.
+
+    Raises:
+        ProblemError: there is no such kind, a reserve leaves nothing, or the machine file does not limit what it is of.
+        UnitError: an amount has no unit, or one of another kind.
+    """
+    from hydroopt.limits.reserves import Reserves
+
+    kinds = {text.partition("=")[0].strip() for text in stated if "=" in text}
+    if "clearance" in kinds and machine.ground is None and not machine.obstacles:
+        raise ProblemError("the machine file states neither ground nor obstacles to keep clear of", where="--reserve",
+                           remedy="state 'ground', the height of the ground in the base frame, or leave it out")
+    if "tipping" in kinds and machine.footprint is None:
+        raise ProblemError("the machine file states no footprint over whose edges it could tip", where="--reserve",
+                           remedy="state 'footprint', or leave it out")
+    return Reserves.stated(stated)
 
 
 def refuse_given(options: Mapping[str, object], why: str, remedy: str) -> None:

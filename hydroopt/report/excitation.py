@@ -16,6 +16,7 @@ from hydroopt.report.scene import SceneView
 if TYPE_CHECKING:
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
+    from hydroopt.limits.reserves import Reserves
     from hydroopt.limits.use import UseOfLimit
 
 IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "sum of variances (A)",
@@ -50,9 +51,17 @@ def render(excitation: Excitation) -> str:
         value=plain(excitation.value), random=_beside_random(excitation),
         count=excitation.random_motions, gain=plain(excitation.gain, 3),
         duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(problem.rate),
+        reserves=reserves_text(problem.limits.reserves), certainty=plain(100 * problem.limits.reserves.certainty, 4),
         back=plain(1e-5 * problem.limits.back_pressure), known=bool(np.any(problem.parameters.prior)),
         limits=[_limit(use) for use in excitation.limits], base=_base(excitation),
         groups=_groups(excitation), sigma=_sigma(excitation, accuracy))
+
+
+def reserves_text(reserves: Reserves) -> str:
+    """Reserves in words."""
+    return (f"{plain(100 * reserves.flow, 3)} % of flow, {plain(100 * reserves.pressure, 3)} % of pressure and torque, "
+            f"{plain(100 * reserves.tipping, 3)} % of what holds it against tipping, {plain(reserves.clearance, 3)} m "
+            f"to ground and obstacles, {plain(reserves.between, 3)} m between its own parts")
 
 
 def _beside_random(excitation: Excitation) -> list[tuple[str, str, str]]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydroopt.report.excitation import reserves_text
 from hydroopt.report.numbers import plain, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.panels import PRINTED, SMALL, Panel, Trace, charts_of, columns_of, positions
@@ -43,8 +44,7 @@ def render(excitation: Excitation) -> str:
         duration=plain(problem.basis.duration), clearance=plain(reserves.clearance, 3),
         certainty=plain(100 * reserves.certainty, 4), tips=machine.footprint is not None,
         slope=plain(float(np.degrees(np.hypot(*machine.orientation[:2]))), 2),
-        kept=[(what, plain(100 * part, 3)) for what, part in (
-            ("flow", reserves.flow), ("pressure and torque", reserves.pressure), ("tipping", reserves.tipping))])
+        kept=reserves_text(reserves))
 
 
 def _unit(excitation: Excitation, joint: str) -> tuple[str, float]:

@@ -44,6 +44,7 @@ class Job(StrEnum):
     WEIGHING = "weighing of loads"
     CONTROL = "comparison of controllers"
     CHECK = "check of logs"
+    MOTION_CHECK = "check of motions"
 
 
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.SENSORS: "estimate.json",
@@ -51,7 +52,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
-         Job.CHECK: "check.json"}
+         Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")

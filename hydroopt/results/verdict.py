@@ -34,6 +34,7 @@ class Purpose(StrEnum):
     VALVES = "valves and oil"
     CHANGES = "changes between sessions"
     LOAD = "the load"
+    DRIVING = "driving this motion"
 
 
 class Usable(StrEnum):

@@ -75,6 +75,8 @@ class Kind(StrEnum):
     SEARCH_INTERRUPTED = "search interrupted"
     RANDOM_TELLS_MORE = "a random motion tells more"
     NOT_LIMITED = "not limited"
+    LIMIT_BROKEN = "limit broken"
+    RESERVE_USED = "reserve used"
     NO_FORCE_ACCURACY = "no accuracy of forces stated"
     NO_ANGLE_ACCURACY = "no accuracy of angles stated"
     SMOOTHING_BIAS = "bias by smoothing"
@@ -216,7 +218,7 @@ CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kin
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
-    Kind.INTERVALS_TOO_NARROW, Kind.SCALE_CONTRADICTED}
+    Kind.INTERVALS_TOO_NARROW, Kind.SCALE_CONTRADICTED, Kind.LIMIT_BROKEN}
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.NO_VALIDATION: Words(
@@ -276,6 +278,12 @@ WORDS: dict[Kind, Words] = {
         "The best of {motions} random motions tells more than this one: the search ended too early.",
         "Search longer (`--seconds`) or from more starts (`--starts`)."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
+    Kind.LIMIT_BROKEN: Words(
+        "{log}: {subject} is beyond its limit by {amount} at {at:.2f} s, the tip at ({x:.2f}, {y:.2f}, {z:.2f}) m.",
+        "Drive it slower or over less range, or correct the limit in the machine file."),
+    Kind.RESERVE_USED: Words(
+        "{log}: {subject} uses {amount} of its reserve at {at:.2f} s, the tip at ({x:.2f}, {y:.2f}, {z:.2f}) m.",
+        "Drive it slower or over less range, or state the reserve that suffices with --reserve."),
     Kind.NO_FORCE_ACCURACY: Words(
         "The machine file states no accuracy for the force of {subject}; its noise is assumed as a tenth of a typical "
         "force.",

@@ -17,7 +17,7 @@ CONSISTENT = 1e-4
 """Part of a joint's range within which the speeds and accelerations of a designed motion lead to its next position."""
 
 
-def reference_motion(machine: Machine, log: Log) -> Trajectory:
+def reference_motion(machine: Machine, log: Log, *, bounded: bool = True) -> Trajectory:
     """The motion of a log's joint positions.
 
     Speeds and accelerations of a designed motion (`.qd` and `.qdd` of all joints, consistent with `.q` at every sample)
@@ -27,6 +27,7 @@ def reference_motion(machine: Machine, log: Log) -> Trajectory:
     Args:
         machine: whose joints move.
         log: with `<joint>.q` of all joints.
+        bounded: whether positions must be within the joints' ranges.
 
     Raises:
         LogError: a joint's positions are missing, or leave its range.
@@ -39,7 +40,7 @@ def reference_motion(machine: Machine, log: Log) -> Trajectory:
         (500, 1)
     """
     positions, wrench = _channels(machine, log, "q"), tip_wrench(log)
-    for k, joint in enumerate(machine.joints):
+    for k, joint in enumerate(machine.joints if bounded else ()):
         lower, upper = machine.link(joint).joint.range
         beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
         if beyond.size:
