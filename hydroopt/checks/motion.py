@@ -71,8 +71,8 @@ class MotionCheck(Answer):
         >>> import hydroopt as ho
         >>> machine = ho.load_machine("cat215b")
         >>> t = np.linspace(0, 4, 41)
-        >>> log = ho.Log("down", t, {"swing.q": 0 * t, "boom.q": -0.1 - 0.2 * t, "stick.q": 1.0 + 0 * t}, {
-        ...     "swing.q": "rad", "boom.q": "rad", "stick.q": "rad"})
+        >>> log = ho.Log("down", t, {"swing.q": 0 * t, "boom.q": -0.2 + 0.1 * t, "stick.q": 1.4 + 0 * t},
+        ...     units={"swing.q": "rad", "boom.q": "rad", "stick.q": "rad"})
         >>> found = check_motion(machine, log)
         >>> found.status.value, [each.use.name for each in found.table if each.broken]
         ('suspect', ['stick above ground'])

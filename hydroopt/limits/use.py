@@ -52,7 +52,7 @@ def courses(limits: Limits, q: Array, qd: Array, qdd: Array) -> dict[str, Course
     >>> from hydroopt.model.model import Model
     >>> model = Model(load_machine("patu655_lift"))
     >>> use = courses(Limits(model), np.array([[0.2], [0.3]]), np.zeros((2, 1)), np.zeros((2, 1)))["lift position"].use
-    >>> use.lowest, use.highest, use.room > 0
+    >>> round(use.lowest, 9), use.highest, use.room > 0
     (0.2, 0.3, True)
     """
     values = limits.values(q, qd, qdd) * limits.scale

@@ -16,16 +16,16 @@ CAT = load_machine("cat215b")
 def swept(boom: np.ndarray, stick: np.ndarray, seconds: float) -> Log:
     t = np.linspace(0, seconds, len(boom))
     return Log("sweep", t, {"swing.q": 0 * t, "boom.q": boom, "stick.q": stick},
-               dict.fromkeys(("swing.q", "boom.q", "stick.q"), "rad"))
+               units=dict.fromkeys(("swing.q", "boom.q", "stick.q"), "rad"))
 
 
 def test_a_tip_in_the_ground_is_found_where_it_is() -> None:
-    boom = np.linspace(-0.1, -0.9, 201)
-    found = check_motion(CAT, swept(boom, np.full(201, 1.0), 20.0))
+    boom = np.linspace(-0.2, 0.2, 201)
+    found = check_motion(CAT, swept(boom, np.full(201, 1.4), 20.0))
     ground = next(each for each in found.table if each.use.name == "stick above ground")
     model = Model(CAT)
     depth = CAT.ground - model.over(model.forward_kinematics, np.column_stack(
-        [0 * boom, boom, np.full(201, 1.0)]))[-1][:, 2, 3]
+        [0 * boom, boom, np.full(201, 1.4)]))[-1][:, 2, 3]
     assert ground.beyond == pytest.approx(np.max(depth), abs=0.02)
     assert ground.at == pytest.approx(20 * np.argmax(depth) / 200, abs=0.3)
     assert found.status is Status.SUSPECT

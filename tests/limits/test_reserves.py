@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydroopt import Model, load_machine, random_trajectory
-from hydroopt.errors import ProblemError
+from hydroopt.errors import HydrooptError
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.limits.uncertain import UncertainParameters
@@ -21,7 +21,7 @@ CAT = Model(load_machine("cat215b"))
     ("clearance=-1 m", "cannot be kept"), ("certainty=100 %", "cannot be kept"), ("colour=3 %", "no reserve 'colour'"),
     ("clearance=3", "m"), ("much", "number")])
 def test_impossible_reserves_are_refused(stated: str, named: str) -> None:
-    with pytest.raises(ProblemError, match=named):
+    with pytest.raises(HydrooptError, match=named):
         Reserves.stated([stated])
 
 

@@ -26,12 +26,14 @@ PACE = 0.25
 """Part of the joints' largest speeds and accelerations that an approach uses."""
 UNSTATED = 0.2
 """Part of a joint's range that counts as its largest speed and acceleration where none is stated."""
-FINE = 0.01
+FINE = 0.005
 """Distance of the postures at which an edge is checked, as a part of the joints' ranges."""
 STEP, TRIES = 0.15, 3000
 """Longest edge of a tree, as a part of the joints' ranges, and how many random postures are tried."""
 SHORTCUTS, SLOWER, ROUNDS = 60, 1.4, 14
 """How many shortcuts are tried; the factor of time by which an edge that breaks a limit is slowed, and how often."""
+BACK_OFF = 0.004
+"""Part of a limit's scale that postures on the way keep beyond it."""
 ROUNDING = 1e-9
 """Part of a limit's scale by which the start may be exceeded."""
 
@@ -105,9 +107,17 @@ class _Search:
         self.size = self.high - self.low
         self.start, self.goal = limits.hanging.postures(np.array([start, goal]))
         at_start = self._at_rest(self.start[None])[0]
-        self._refuse(Limits(limits.model, Reserves.none(), limits.known))
-        self.lower = np.minimum(limits.lower, at_start - ROUNDING)
-        self.upper = np.maximum(limits.upper, at_start + ROUNDING)
+        itself = Limits(limits.model, Reserves.none(), limits.known)
+        self._refuse(itself)
+        # a start that leaves less than the reserves is left by motion, which takes a little of it, never of the limit
+        self.lower = np.minimum(limits.lower, np.maximum(at_start - BACK_OFF,
+                                                         np.minimum(itself.lower, at_start - ROUNDING)))
+        self.upper = np.maximum(limits.upper, np.minimum(at_start + BACK_OFF,
+                                                         np.maximum(itself.upper, at_start + ROUNDING)))
+        # postures on the way keep a little more than both ends leave, since motion adds to what they ask for
+        ends = self._at_rest(np.array([self.start, self.goal]))
+        self.at_rest = (np.minimum(limits.lower + BACK_OFF, np.min(ends, axis=0) - ROUNDING),
+                        np.maximum(limits.upper - BACK_OFF, np.max(ends, axis=0) + ROUNDING))
         short = limits.excess(at_start[None])[0] > 0
         self.short = tuple(dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(short)))
 
@@ -128,11 +138,15 @@ class _Search:
     def _kept(self, values: Array) -> bool:
         return bool(np.all((values >= self.lower) & (values <= self.upper)))
 
+    def _kept_at_rest(self, q: Array) -> bool:
+        values, (lower, upper) = self._at_rest(q), self.at_rest
+        return bool(np.all((values >= lower) & (values <= upper)))
+
     def _free(self, one: Array, other: Array) -> bool:
         """Whether all postures of an edge keep limits at rest."""
         count = int(np.ceil(np.max(np.abs(other - one) / self.size) / FINE)) + 2
         q = one + np.linspace(0, 1, count)[:, None] * (other - one)
-        return self._kept(self._at_rest(self.limits.hanging.postures(q)))
+        return self._kept_at_rest(self.limits.hanging.postures(q))
 
     def found(self, rate: float) -> Approach:
         """The approach at some samples per second."""
