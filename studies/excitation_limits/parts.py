@@ -116,9 +116,8 @@ def broken(model: Model, found: Excitation) -> list[str]:
         if (low is not None and np.min(values) < low - size) or (high is not None and np.max(values) > high + size):
             names.append(name)
 
-    def reserved(actuator: Any, most: float | None, area: float) -> float | None:
-        margin = found.problem.limits.margin[machine.actuators.index(actuator)]
-        return None if most is None else most - margin / area
+    def reserved(most: float | None) -> float | None:
+        return None if most is None else (1 - found.problem.limits.reserves.pressure) * most
 
     for k, joint in enumerate(machine.joints):
         own = machine.link(joint).joint
@@ -136,17 +135,17 @@ def broken(model: Model, found: Excitation) -> list[str]:
         flow += np.where(speed[:, k] > 0, c.areas[0], -c.areas[1]) * speed[:, k]
         for chamber in ("p_head", "p_rod"):
             check(f"{c.name} {chamber}", log.channel(f"{c.name}.{chamber}"), None,
-                  reserved(c, c.relief_pressure, c.areas[chamber == "p_rod"]))
+                  reserved(c.relief_pressure))
     force = synthetic.forces(model, path, model.parameters.nominal)
     for k, actuator in enumerate(machine.actuators):
         if actuator in machine.motors:
             flow += np.abs(actuator.torque_per_pressure * actuator.gear * path.qd[:, k])
             for chamber in ("p_a", "p_b"):
                 check(f"{actuator.name} {chamber}", log.channel(f"{actuator.name}.{chamber}"), None,
-                      reserved(actuator, actuator.relief_pressure, actuator.torque_per_pressure * actuator.gear))
+                      reserved(actuator.relief_pressure))
         elif actuator in machine.drives:
             check(f"{actuator.name} torque", np.abs(force[:, k]), None,
-                  reserved(actuator, actuator.max_torque, 1.0))
+                  reserved(actuator.max_torque))
     check("pump flow", flow, None, machine.pump.max_flow if machine.pump else None)
     ends = [pose[:, :3, 3] for pose in model.over(model.forward_kinematics, path.q)]
     if machine.workspace:

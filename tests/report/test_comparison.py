@@ -158,7 +158,7 @@ def test_a_misread_log_ends_the_command_with_3(made: Path, tmp_path: Path, comma
 
 def test_what_contradicts_a_log_is_known_from_its_folder(made: Path, tmp_path: Path) -> None:
     misread = Diagnostic(Kind.LOG_MISREAD, ("lift.q",), {"log": "a.csv", "reading": "the sign of lift.q reversed",
-                                                         "read_so": "", "as_read": ""})
+                                                         "agrees": "agrees", "read_so": "", "as_read": ""})
     content = json.loads((made / "kept/estimate.json").read_text()) | {"diagnostics": [misread.as_dict()]}
     (tmp_path / "estimate.json").write_text(json.dumps(content))
     (tmp_path / "information.csv").write_bytes((made / "kept/information.csv").read_bytes())
