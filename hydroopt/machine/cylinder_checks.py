@@ -163,7 +163,7 @@ def over_range(geometry: Geometry, part: Pinned) -> OverRange:
     >>> from hydroopt.machine.machine_file import load_machine
     >>> machine = load_machine("wheel_loader")
     >>> print(f"{over_range(Geometry(machine), machine.cylinders[1]).lengths.max():.2f} m")
-    1.59 m
+    1.71 m
     """
     machine = geometry.machine
     joints = machine.moved_by(part)

@@ -9,6 +9,7 @@ by their names, and parts that the bundled machine lacks stand before its own.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -85,7 +86,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
                            remedy="leave it out")
     if file := bundled_files().get(name):
         return read_machine(file.read_text("utf-8"), where=name, parameter_set=parameter_set)
-    if path.is_dir() and len(machines := sorted(path.glob("*.toml"))) == 1:  # what a command wrote
+    if os.path.isdir(path) and len(machines := sorted(path.glob("*.toml"))) == 1:  # what a command wrote
         return load_machine(machines[0], parameter_set=parameter_set)
     if path.suffix != ".toml":
         close = get_close_matches(name, bundled(), 2)

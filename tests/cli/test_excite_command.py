@@ -32,7 +32,7 @@ SERIES = ("patu655_lift", *QUICK, "--blend", "1", "--harmonics", "3")
 SPLINE = ("patu655_lift", *QUICK, "--pieces", "7")
 RESTING = ("cat215b", *QUICK, "--blend", "1", "--harmonics", "2", "--rest", "swing = 10 deg")
 KINDS = {"series": SERIES, "spline": SPLINE, "resting": RESTING}
-FILES = {"excitation.json", "report.html", "trajectory.csv", "c"}
+FILES = {"excitation.json", "report.html", "sheet.html", "trajectory.csv", "c"}
 
 
 def excite(*arguments: str | Path) -> str:

@@ -124,6 +124,8 @@ class ParquetFile:
                 stated = group.column(column).statistics if group.num_columns == len(self._names) else None
                 if begin < rows[0] or end > rows[1] or stated is None or not stated.has_min_max:
                     return None
+                if not isinstance(stated.min, int | float):  # of a damaged file
+                    return None
                 found.append((float(stated.min), float(stated.max)))
             begin = end + 1
         least, most = zip(*found, strict=True)

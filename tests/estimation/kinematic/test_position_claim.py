@@ -7,7 +7,7 @@ import pytest
 
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.workspace import _end
+from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.exchange import fedorov_exchange
 from hydroopt.excitation.poses.problem import pose_problem
 from hydroopt.machine.machine_file import load_machine
@@ -34,7 +34,7 @@ def test_the_tip_lies_within_the_figure() -> None:
         true = np.array([made.truth.get(name, value) for name, value in zip(names, found.theta, strict=True)])
         q = np.random.default_rng(seed).uniform(low, high, (100, len(low)))
         own = found.problem.model
-        count, (_, function) = len(own.parameters), _end(own)
+        count, (_, function) = len(own.parameters), machine_end(own)
         tip, truth = (own.over(function, theta[:count], q)[0][:, :, 0] for theta in (found.theta, true))
         within.append(float(np.mean(np.linalg.norm(tip - truth, axis=1) <= use.figure)))
         dimensions += [abs(found.theta[names.index(each.subject)] - made.truth[each.subject]) <= each.figure
