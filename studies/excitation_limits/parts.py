@@ -107,7 +107,7 @@ def outcome(seed: int) -> Outcome:
 
 
 def broken(model: Model, found: Excitation) -> list[str]:
-    """Names of limits that the motion breaks, reckoned anew from the trajectory and the machine alone."""
+    """Names of limits that the motion breaks, computed anew from the trajectory and the machine alone."""
     machine, path = model.machine, found.trajectory
     names = []
 
