@@ -331,7 +331,8 @@ def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: 
             node = made[index]
             if ready:
                 place[index] = len(nodes)
-                nodes.append(node._replace(operands=tuple(Ref(place[r.node], r.negative) for r in node.operands)))
+                nodes.append(Node(node.op, tuple([Ref(place[r.node], r.negative) for r in node.operands]), node.value,
+                                  node.place) if node.operands else node)
             else:
                 stack.append((index, True))
                 stack += [(ref.node, False) for ref in reversed(node.operands)]
