@@ -152,7 +152,8 @@ def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[st
     """
     machine = machine_of(machine, "measure_up_problem")
     if not (np.isfinite(tip) and tip > 0):
-        raise ProblemError(f"{tip:g} m is no accuracy of the tip", where="tip", remedy="give a positive length")
+        raise ProblemError(f"the accuracy {tip:g} m of the tip is not positive", where="tip",
+                           remedy="give a positive length")
     poses = pose_problem(machine, 1, priors=True, fixed=fixed, setups=setups)
     problem = MeasureUpProblem(poses, tip, dict(minutes or {}))
     known = {each.name: each for each in problem.readings}
@@ -161,7 +162,7 @@ def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[st
             raise ProblemError("the machine states no such reading", where=f"minutes of '{name}'",
                                remedy=f"use {', '.join(known)}")
         if not (np.isfinite(spent) and spent >= 0):
-            raise ProblemError(f"{spent:g} min is no duration", where=f"minutes of '{name}'",
+            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
                                remedy="give a number from 0 on")
     if any(group.fixture for group in poses.groups):
         raise ProblemError("a fixture holds its tip", where=f"machine '{machine.name}'",

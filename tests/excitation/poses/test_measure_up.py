@@ -96,10 +96,10 @@ def test_the_plan_can_be_saved_loaded_and_read_by_calibrate(tmp_path: Path) -> N
     ("cat215b", 0.01, {}, "machine 'cat215b': a fixture holds its tip; plan the poses with plan-poses"),
     ("excavator_imu", 0.01, {}, "nothing is read by hand; state targets with an instrument"),
     ("excavator_bucket", 0.01, {}, "states the tip to 0 mm already; state a 'sigma' for every length"),
-    (FILE, 0.0, {}, "tip: 0 m is no accuracy of the tip; give a positive length"),
+    (FILE, 0.0, {}, "tip: the accuracy 0 m of the tip is not positive; give a positive length"),
     (FILE, 1e-5, {}, "leave the tip to .* mm; ask for less, state more accurate sensors"),
     (FILE, 0.01, {"minutes": {"tap": 1.0}}, "minutes of 'tap': the machine states no such reading; use "),
-    (FILE, 0.01, {"minutes": {"tape.length": -1.0}}, "-1 min is no duration")])
+    (FILE, 0.01, {"minutes": {"tape.length": -1.0}}, "-1 min is not a duration")])
 def test_bad_input_is_refused_in_one_sentence(machine: object, tip: float, options: dict, sentence: str) -> None:
     with pytest.raises(ProblemError, match=sentence):
         fewest_readings(measure_up_problem(load_machine(machine), tip=tip, **options), candidates=4)
