@@ -114,6 +114,7 @@ def without_extras(folder: Path, *arguments: str) -> subprocess.CompletedProcess
                           check=False)
 
 
+@pytest.mark.slow
 def test_the_core_identifies_a_machine_without_any_extra(tmp_path: Path) -> None:
     made = without_extras(tmp_path, "simulate", "patu655_lift", "--duration", "10", "--seed", "1", "-o", "run")
     assert not made.returncode, made.stderr

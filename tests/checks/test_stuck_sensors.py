@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fixtures.tiers import tiered
 from hydroopt.checks.plausibility import examine
 from hydroopt.checks.sensors import beyond_relief, scattering, stuck_sensors
 from hydroopt.estimation.dynamic.identify import identify
@@ -62,7 +63,8 @@ def test_the_answer_names_the_stuck_sensor_first() -> None:
     assert answer.content()["verdict"]["cause"].startswith("lift_cylinder.p_head is stuck at ")
 
 
-@pytest.mark.parametrize("name", ["cat215b", "wheel_loader", "ur10", "forestry_crane"])
+@pytest.mark.parametrize("name", tiered(["cat215b", "wheel_loader", "ur10", "forestry_crane"],
+                                        lambda name: name != "forestry_crane"))
 def test_sound_sensors_are_left_in_peace(name: str) -> None:
     for seed in (1, 2, 3):
         model, log = sound(name, seed)

@@ -27,8 +27,9 @@ from hydroopt.codegen.hosts import HOSTS
 
 STRICT = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion", "-Werror"]
 SIMULINK = Path(__file__).parents[1] / "fixtures" / "simulink"
-CASES = tiered([("patu655_lift", "double"), ("patu655_lift", "float"), ("cat215b", "double"), ("kr300", "float"),
-                ("backhoe", "double")], lambda subject, real: subject == "patu655_lift" or real == "float")
+PAIRS = [("patu655_lift", "double"), ("patu655_lift", "float"), ("cat215b", "double"), ("kr300", "float"),
+         ("backhoe", "double")]
+CASES = tiered(PAIRS, lambda subject, real: subject == "patu655_lift")
 Folders = Callable[[str, str], tuple[Code, Path]]
 
 
@@ -232,7 +233,8 @@ def test_structured_text_has_the_layout_of_c(subject: str, real: str, folders: F
     assert said == [layout(members) for members in told.values()]
 
 
-@pytest.mark.parametrize(("subject", "real"), CASES)
+@pytest.mark.parametrize(("subject", "real"), tiered(
+    PAIRS, lambda subject, real: (subject, real) == ("patu655_lift", "double")))
 def test_structured_text_is_parsed(subject: str, real: str, folders: Folders) -> None:
     parse = pytest.importorskip("blark.parse", reason="blark is not installed: structured text is not parsed")
     made, place = folders(subject, real)

@@ -41,17 +41,19 @@ class MatFile:
         self.where, self._data, self._rows = where, data, layout.rows if layout else None
         # vectors, and rows of matrices with few of them
         self.header: list[str] = [str(name) for name in self._said(None)[0]["names"]] if listed else []
+        # of a file that is listed all are read at once, since each question starts a process
+        listed_keys = [self._variable(name) for name in self.header]
+        self._listed = dict(zip(listed_keys, self._vectors(listed_keys), strict=True)) if listed_keys else {}
 
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
         """The variables `keys` as numbers, all of one length; there are no texts."""
         wanted = [key if isinstance(key, tuple) else self._variable(key) for key in keys]
-        said, numbers = self._said(wanted)
-        sizes = said["sizes"]
-        if len(set(sizes)) > 1:
-            raise LogError(f"the mapped variables have different lengths {sorted(set(sizes))}", where=self.where,
+        columns = [self._listed[key] for key in wanted] if self._listed.keys() >= {*wanted} else self._vectors(wanted)
+        sizes = {column.size for column in columns}
+        if len(sizes) > 1:
+            raise LogError(f"the mapped variables have different lengths {sorted(sizes)}", where=self.where,
                            remedy="map variables of one recording")
-        rows = selected(sizes[0], self._rows, self.where)
-        columns = np.frombuffer(numbers).reshape(len(wanted), -1)
+        rows = selected(columns[0].size, self._rows, self.where)
         found: dict[RawKey, Array] = {key: column[rows - 1] for key, column in zip(keys, columns, strict=True)}
         return Table(found, rows, stamps=None if time is None else stamps.of_column(found[time]))
 
@@ -61,6 +63,10 @@ class MatFile:
         name = key if isinstance(key, str) else self.header[find_column(key, self.header, len(self.header), self.where)]
         match = _ROW.fullmatch(name)
         return (match[1], int(match[2])) if match else (name, None)
+
+    def _vectors(self, keys: list[tuple[str, int | None]]) -> list[Array]:
+        said, numbers = self._said(keys)
+        return np.split(np.frombuffer(numbers), np.cumsum(said["sizes"])[:-1])
 
     def _said(self, keys: list[tuple[str, int | None]] | None) -> tuple[dict[str, Any], bytes]:
         """The answer to a question for vectors, or for the names of all: its line, and the numbers behind it.

@@ -133,6 +133,7 @@ def test_forces_are_derived_as_by_finite_differences(machine: Machine, truth: di
     assert not np.any(made.by_numbers[:, :, count:])
 
 
+@pytest.mark.slow
 def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Log) -> None:
     """No parameter, number of the geometry or coefficient of the motion can be changed with gain: by the objective
     written anew, with splines of SciPy, lengths and loops of the kinematic model, and models of other geometries."""

@@ -69,6 +69,7 @@ def test_bodies_are_needed(machine: Machine, planned: Poses) -> None:
         choose_compliance(with_compliance(machine, {}).model_copy(update={"gravity": 0.0}), poses)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_chose(machine: Machine, planned: Poses, tmp_path: Path) -> None:
     table = tmp_path / "poses.csv"
     table.write_bytes(measured(machine, planned, COMPLIANCE, 1).encoded())

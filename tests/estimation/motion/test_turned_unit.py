@@ -1,12 +1,14 @@
 """A turned unit on a swing, whose misfit in the short log is hardly above what counts, is named like any other."""
 
 import numpy as np
+import pytest
 
 import hydroopt as ho
 from hydroopt.estimation.motion.misread import examined_fit
 from hydroopt.estimation.motion.problem import sensor_problem
 
 
+@pytest.mark.slow
 def test_a_turned_unit_that_hardly_misfits_is_named_where_all_agree_otherwise():
     machine = ho.load_machine("excavator_imu")
     rng = np.random.default_rng(0)

@@ -74,6 +74,7 @@ def test_what_a_start_breaks_is_named() -> None:
         start_of(CAT, {"bom": 0.0}, GOAL)
 
 
+@pytest.mark.slow
 def test_excite_writes_a_slow_motion_an_approach_and_a_sheet(tmp_path: Path) -> None:
     """What is designed passes the check of motions, with the reserves that were stated; more would not."""
     run = CliRunner().invoke
