@@ -32,6 +32,11 @@ from .estimation.kinematic.problem import calibration_problem as calibration_pro
 from .estimation.motion.problem import SensorProblem as SensorProblem
 from .estimation.motion.problem import sensor_problem as sensor_problem
 from .estimation.motion.sensor_calibration import SensorCalibration as SensorCalibration
+from .excitation.calibrator.calibrator_design import CalibratorDesign as CalibratorDesign
+from .excitation.calibrator.construction import SensorOffer as SensorOffer
+from .excitation.calibrator.construction import Workshop as Workshop
+from .excitation.calibrator.problem import CalibratorProblem as CalibratorProblem
+from .excitation.calibrator.problem import calibrator_problem as calibrator_problem
 from .excitation.motion.design import excitation_problem as excitation_problem
 from .excitation.motion.excitation import Excitation as Excitation
 from .excitation.motion.problem import ExcitationProblem as ExcitationProblem

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.problem import CalibrationProblem
     from hydroopt.estimation.motion.problem import SensorProblem
     from hydroopt.estimation.motion.sensor_calibration import SensorCalibration
+    from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
+    from hydroopt.excitation.calibrator.problem import CalibratorProblem
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.problem import ExcitationProblem
     from hydroopt.excitation.poses.measure_up import MeasureUpProblem
@@ -39,7 +41,9 @@ SOLVERS = {
     ("hydroopt.excitation.motion.problem", "ExcitationProblem"): ("hydroopt.excitation.motion.design", "design"),
     ("hydroopt.excitation.poses.problem", "PoseProblem"): ("hydroopt.excitation.poses.exchange", "fedorov_exchange"),
     ("hydroopt.excitation.poses.measure_up", "MeasureUpProblem"): (
-        "hydroopt.excitation.poses.measure_up", "fewest_readings")}
+        "hydroopt.excitation.poses.measure_up", "fewest_readings"),
+    ("hydroopt.excitation.calibrator.problem", "CalibratorProblem"): (
+        "hydroopt.excitation.calibrator.design", "design_calibrator")}
 """Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
 
 
@@ -59,6 +63,8 @@ def solve(problem: ExcitationProblem, **options: Any) -> Excitation: ...
 def solve(problem: PoseProblem, **options: Any) -> PosePlan: ...
 @overload
 def solve(problem: MeasureUpProblem, **options: Any) -> MeasureUpPlan: ...
+@overload
+def solve(problem: CalibratorProblem, **options: Any) -> CalibratorDesign: ...
 
 
 def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
@@ -66,14 +72,15 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
 
     Args:
         problem: identification, kinematic calibration, both together, sensors, valves and oil, the design of a motion
-            or of poses, or a measure-up.
+            or of poses, a measure-up, or a calibrator.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
             `hydroopt.estimation.kinematic.calibrate.calibrate`,
             `hydroopt.estimation.combined.combined.identify_with_geometry`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
-            `hydroopt.excitation.poses.exchange.fedorov_exchange` or
-            `hydroopt.excitation.poses.measure_up.fewest_readings`.
+            `hydroopt.excitation.poses.exchange.fedorov_exchange`,
+            `hydroopt.excitation.poses.measure_up.fewest_readings` or
+            `hydroopt.excitation.calibrator.design.design_calibrator`.
 
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.

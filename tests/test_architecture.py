@@ -33,6 +33,7 @@ ROOMS = (
     ("weighing",),
     ("excitation.criteria",),
     ("excitation.motion", "excitation.poses"),
+    ("excitation.calibrator",),
     ("control",),
     ("codegen",),
     ("study",),

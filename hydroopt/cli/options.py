@@ -66,6 +66,7 @@ Seed = Annotated[int, typer.Option(help="Seed of all that is drawn at random.", 
 Starts = Annotated[int, typer.Option(help="Number of initial guesses of the search.", min=1)]
 Priors = Annotated[bool, typer.Option("--priors/--no-priors", help=(
     "Whether the machine file's confidences count as measurements."))]
+PosesEach = Annotated[int, typer.Option("-n", "--poses", help="Poses of each stage at each fixture.", min=1)]
 Noise = Annotated[bool, typer.Option(help="Whether readings have the sensor errors that the machine file states.")]
 Processes = Annotated[int | None, typer.Option(help="Processes at a time; the number of cores if not given.", min=1)]
 MotionFile = Annotated[Path | None, typer.Option("--motion", help=(

@@ -14,6 +14,7 @@ from hydroopt.cli.options import (
     Fixed,
     Focus,
     MachineName,
+    PosesEach,
     Priors,
     Quiet,
     Seed,
@@ -26,7 +27,7 @@ from hydroopt.cli.options import (
 def plan_poses(
     machine: MachineName,
     output: Directory,
-    poses: Annotated[int, typer.Option("-n", "--poses", help="Poses of each stage at each fixture.", min=1)],
+    poses: PosesEach,
     stage: Annotated[list[str] | None, typer.Option(help="Stage to measure; repeatable; all if not given.")] = None,
     criterion: Annotated[str | None, typer.Option(
         help="D, A, E or condition; D if not given, or A of the focus.")] = None,

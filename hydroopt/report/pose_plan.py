@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,14 +13,15 @@ from hydroopt.report.page import document
 from hydroopt.report.panels import SMALL
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView
+from hydroopt.results.json_file import FILES
 
 if TYPE_CHECKING:
     from hydroopt.excitation.poses.plan import PosePlan
     from hydroopt.results.parameter_table import ParameterRow
 
 
-def render(plan: PosePlan) -> str:
-    """The page as one HTML document that needs nothing else."""
+def render(plan: PosePlan, template: str = "pose_plan.html", **more: Any) -> str:
+    """The page as one HTML document that needs nothing else; `more` is what another template shows beside the plan."""
     joints, degrees = plan.joints, {joint: _printed(plan, joint) for joint in plan.joints}
     numbers = np.arange(1.0, len(plan.q) + 1)
     columns = {f"{joint}.q": plan.q[:, k] for k, joint in enumerate(joints)}
@@ -31,11 +32,12 @@ def render(plan: PosePlan) -> str:
     charts: list[Chart] = [TimeChart(f"{joint} [{degrees[joint][0]}]", (Line(joint, joint, dots=True),))
                            for joint in joints if np.ptp(columns[joint]) > 0]
     return document(
-        "pose_plan.html", samples=Samples("pose, in the order of measuring", numbers, columns, spans),
+        template, samples=Samples("pose, in the order of measuring", numbers, columns, spans),
         charts={"joints": charts}, scene=SceneView(plan.scene, tuple(f"{joint}.q" for joint in joints)),
         verdict=plan.verdict, diagnostics=plan.diagnostics, plan=plan, sheet=plan.sheet(),
         condition=plain(plan.observability.condition_number, 3),
-        rows=[_row(one) for one in plan.parameters.rows if one.identifiability != "fixed"])
+        answer=FILES[plan.job],
+        rows=[_row(one) for one in plan.parameters.rows if one.identifiability != "fixed"], **more)
 
 
 def _printed(plan: PosePlan, joint: str) -> tuple[str, float]:

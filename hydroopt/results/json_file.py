@@ -38,6 +38,7 @@ class Job(StrEnum):
     HYDRAULICS = "identification of valves and oil"
     EXCITATION = "excitation"
     POSE_PLAN = "pose plan"
+    CALIBRATOR = "calibrator design"
     CHANGE = "comparison of two sessions"
     CHANGE_HISTORY = "comparison of several sessions"
     PAYLOAD = "identification of a payload"
@@ -50,6 +51,7 @@ class Job(StrEnum):
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.SENSORS: "estimate.json",
          Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
+         Job.CALIBRATOR: "design.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
          Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json"}

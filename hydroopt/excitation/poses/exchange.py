@@ -8,7 +8,7 @@ out. Collisions are not modelled. Section 5.3 of the thesis leaves pose planning
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,15 +63,27 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         progress(f"drawing postures for {group}", DRAWN * k / len(groups))
         drawn.append(candidate_postures(problem, group, candidates, rng))
     found = np.array(drawn)
-    design = _Design(*linearised(problem, np.concatenate(found), problem.labels(candidates)), problem.criterion,
-                     problem.focus, len(groups))
-    chosen = design.best(count, progress)
+    chosen, log_det = best_poses(problem, found, progress)
     q, labels = found[chosen], problem.labels(count)
-    return PosePlan(problem, candidates, seed, labels, q, _lengths(model, q),
-                    observability(*linearised(problem, q, labels)), design.log_det(chosen))
+    return PosePlan(problem, candidates, seed, labels, q, lengths(model, q),
+                    observability(*linearised(problem, q, labels)), log_det)
 
 
-def _lengths(model: KinematicModel, q: Array) -> Array:
+def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
+               units: Mapping[str, float] | None = None) -> tuple[NDArray[np.bool_], float]:
+    """Which of the closed postures (G, C, n) of each group to measure, (G, C), in their order; and the logarithm of the
+    determinant of the scaled information.
+
+    `units` are those [SI] in which the criterion counts parameters in focus; by default their scales.
+    """
+    count = found.shape[1]
+    design = _Design(*linearised(problem, np.concatenate(found), problem.labels(count)), problem.criterion,
+                     problem.focus, len(problem.groups), units)
+    chosen = design.best(problem.count, progress)
+    return chosen, design.log_det(chosen)
+
+
+def lengths(model: KinematicModel, q: Array) -> Array:
     """(N, c) of all cylinders [m]."""
     return model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
 
@@ -121,7 +133,7 @@ class _Design:
     """
 
     def __init__(self, problem: CalibrationProblem, linear: Linearised, criterion: str, focus: Sequence[str],
-                 groups: int) -> None:
+                 groups: int, units: Mapping[str, float] | None = None) -> None:
         self.criterion = criterion
         free = np.flatnonzero(problem.free)
         if not np.any(linear.jacobian[:, :, free]):
@@ -143,7 +155,9 @@ class _Design:
         self.rank = linear.rank.reshape(groups, -1).max(axis=1)
         self.prior = shared.T @ shared + FAINT_INFORMATION * np.eye(len(factor))
         self.open = len(factor) - (int(np.linalg.matrix_rank(shared)) if len(shared) else 0)
-        self.focus = (to_w / data.scale[:, None])[_places(problem, total, focus)]
+        places = _places(problem, total, focus)
+        unit = data.scale[places] if units is None else np.array([units[name] for name in focus])
+        self.focus = to_w[places] / unit[:, None]
         if not focus and criterion != "D":
             self.focus = np.linalg.inv(factor).T
 

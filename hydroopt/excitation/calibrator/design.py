@@ -1,0 +1,144 @@
+"""Designing a calibrator: constructions from the cheapest on, each sized from several starts, until one suffices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.observability import observability
+from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign, Tried
+from hydroopt.excitation.calibrator.construction import Construction, SensorOffer, carrying, fixture_of
+from hydroopt.excitation.calibrator.problem import CalibratorProblem
+from hydroopt.excitation.calibrator.program import Sized
+from hydroopt.excitation.calibrator.search import Search
+from hydroopt.excitation.poses.exchange import best_poses, lengths
+from hydroopt.excitation.poses.problem import PoseProblem, linearised, pose_problem
+from hydroopt.progress import Progress, silent
+from hydroopt.spatial.inertia import Array
+
+MARGIN = 0.95
+"""Part of the deviations asked for that sizes must reach, since poses are whole numbers."""
+ROUNDED = {"m": 1e-3, "rad": math.radians(0.1)}
+"""Steps of lengths [m] and angles [rad] of what is built."""
+MORE = 3.0
+"""Postures to choose from for each one to measure."""
+
+
+def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: float = 1.0, seed: int = 0,
+                      progress: Progress = silent) -> CalibratorDesign:
+    """The cheapest calibrator that suffices, or with `least` the best one of the most links, with its poses.
+
+    Args:
+        problem: what may be built, and how well lengths are to be known.
+        starts: calibrators of each construction that are sized together with their poses.
+        effort: part of the usual number of random calibrators and rounds.
+        seed: of all random numbers.
+        progress: is told the steps, see `hydroopt.progress`.
+
+    Raises:
+        ProblemError: no calibrator closes within the limits, or none suffices.
+    """
+    rng = np.random.default_rng(seed)
+    offered = list(problem.constructions())
+    if problem.least:
+        offered = offered[-1:] if len(problem.sensors) == 1 else [
+            max(offered, key=lambda each: (each[1].links, -each[1].sensors[0].accuracy))]
+    tried: list[Tried] = []
+    for k, (_, construction) in enumerate(offered):
+        search = _search(problem, construction)
+        sized = search.best(starts, rng, progress, (0.9 * k / len(offered), 0.9 * (k + 1) / len(offered)), effort)
+        built = construction._replace(crossing=search.crossing(sized.values)) if sized.values else construction
+        tried.append(_tried(problem, built, sized))
+        if not sized.values or not (problem.least or sized.worst <= math.log(MARGIN)):
+            continue
+        if not problem.least:
+            built, sized = _cheaper(problem, built, sized, rng, tried)
+        progress("choosing poses", 0.9)
+        if (design := _planned(problem, built, sized, tuple(tried), rng, seed)) is not None and (
+                problem.least or design.reached):
+            return design
+    best = min(tried, key=lambda each: each.ratio)
+    if not math.isfinite(best.ratio):
+        raise ProblemError("no calibrator closes the loop within its limits in the poses of all stages",
+                           where=f"calibrator for {problem.machine.name}",
+                           remedy="allow longer links, another place of the ball, or lock joints elsewhere")
+    raise ProblemError(f"the best calibrator found, of {best.links} links, leaves a length at {best.ratio:.3g} times "
+                       "the accuracy asked for", where=f"calibrator for {problem.machine.name}",
+                       remedy="ask for less, measure more poses, or allow better sensors, more or longer links")
+
+
+def _search(problem: CalibratorProblem, construction: Construction) -> Search:
+    return Search(problem.machine, construction, problem.workshop, problem.keep, problem.length_std, problem.count,
+                  problem.fixed, problem.priors)
+
+
+def _tried(problem: CalibratorProblem, construction: Construction, sized: Sized) -> Tried:
+    return Tried(construction.links, tuple(each.accuracy for each in construction.sensors), problem.cost(construction),
+                 math.exp(sized.worst))
+
+
+def _cheaper(problem: CalibratorProblem, construction: Construction, sized: Sized, rng: np.random.Generator,
+             tried: list[Tried]) -> tuple[Construction, Sized]:
+    """The same sizes with a cheaper sensor at each joint where it suffices."""
+    for joint in range(construction.links):
+        for offer in sorted(problem.sensors, key=lambda each: each.cost):
+            if offer.cost >= construction.sensors[joint].cost:
+                break
+            sensors: list[SensorOffer] = list(construction.sensors)
+            sensors[joint] = offer
+            other = construction._replace(sensors=tuple(sensors))
+            search = _search(problem, other)
+            again = search.refined(sized.values, rng, 0)
+            if again is not None:
+                tried.append(_tried(problem, other, again))
+                if again.worst <= math.log(MARGIN):
+                    construction, sized = other, again
+                    break
+    return construction, sized
+
+
+def _planned(problem: CalibratorProblem, construction: Construction, sized: Sized, tried: tuple[Tried, ...],
+             rng: np.random.Generator, seed: int) -> CalibratorDesign | None:
+    """The calibrator in round numbers with whole numbers of poses; None where too few postures close."""
+    search = _search(problem, construction)
+    values = _rounded(sized.values, search)
+    found = search.postures(values, int(MORE * problem.count), rng)
+    found = [np.concatenate(pair) for pair in zip(search.closed(values, sized.q), found, strict=True)]
+    least = min(map(len, found))
+    if least < problem.count:
+        return None
+    machine = carrying(problem.machine, construction, values, problem.workshop, problem.keep)
+    base = pose_problem(machine, problem.count, criterion="A", focus=tuple(problem.length_std), priors=problem.priors,
+                        fixed={name: values.get(name, value) for name, value in problem.fixed.items()})
+    q = np.array([_in_order(base, k, each[:least]) for k, each in enumerate(found)])
+    chosen, log_det = best_poses(base, q, units=_units(search, values, q, problem.length_std))
+    labels, chosen_q = base.labels(problem.count), q[chosen]
+    return CalibratorDesign(
+        base, least, seed, labels, chosen_q, lengths(base.model, chosen_q),
+        observability(*linearised(base, chosen_q, labels)), log_det, construction, values, problem.workshop,
+        problem.length_std, problem.least, problem.cost(construction), tried)
+
+
+def _rounded(values: Mapping[str, float], search: Search) -> dict[str, float]:
+    """Sizes in whole millimetres and tenths of a degree, the ball's place in whole centimetres."""
+    fixture = fixture_of(search.machine)
+    step = {size.name: 1e-2 if size.name.startswith(f"{fixture}.") else ROUNDED[size.unit] for size in search.sizes}
+    return {name: round(value / step[name]) * step[name] if name in step else value for name, value in values.items()}
+
+
+def _units(search: Search, values: Mapping[str, float], q: Array, asked: Mapping[str, float]) -> dict[str, float]:
+    """Units [m] in which the sum of the variances is least where the largest deviation is."""
+    weight = search.program.shares(values, q, 150).weight
+    return {name: target / math.sqrt(max(float(each), 1e-6))
+            for (name, target), each in zip(asked.items(), weight, strict=True)}
+
+
+def _in_order(problem: PoseProblem, group: int, q: Array) -> Array:
+    """Postures (C, n) in the order of measuring: there and, where locked joints drift, back."""
+    model, stage = problem.model, problem.groups[group]
+    first = model.joints.index(stage.moves[0]) if stage.moves else 0
+    order = np.argsort(q[:, first], kind="stable")
+    return np.asarray(q[np.concatenate([order[::2], order[1::2][::-1]]) if stage.drift else order])
