@@ -1,4 +1,4 @@
-"""How far a long computation is, as whoever started it is told."""
+"""How far a long computation is, as it is reported to whoever started it."""
 
 from __future__ import annotations
 
@@ -13,4 +13,4 @@ class Progress(Protocol):
 
 
 def silent(text: str, part: float | None = None, /) -> None:
-    """Tell nobody."""
+    """Report nothing."""

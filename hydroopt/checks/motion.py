@@ -148,7 +148,7 @@ class MotionCheck(Answer):
         """Another motion, where limits are broken."""
         if any(each.broken or each.short for each in self.table):
             return (NextStep(Action.DRIVE, "Drive it slower or over less range, or design one: "
-                                           "'hydroopt excite MACHINE -o motion'."),)
+                                           f"'hydroopt excite {self.model.machine.source} -o motion'."),)
         return ()
 
     @property

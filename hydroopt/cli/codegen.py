@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Annotated
 
 import typer
@@ -51,6 +52,6 @@ def codegen(
     for diagnostic in machine_diagnostics(Model(described)):
         echo(f"! {diagnostic}", err=True)
     if not quiet:
-        echo(f"{output}: {', '.join(files)}")
+        echo(f"{output}: {len(files)} files. Build and test them: make -C {shlex.quote(str(output))} check")
     for reason, names in code.missing.items():
         echo(f"missing: {', '.join(names)}, since {reason}", err=quiet)

@@ -1,4 +1,4 @@
-"""What there is to know of a machine before any log: geometry over its range, parameters, what can be told."""
+"""What there is to know of a machine before any log: geometry over its range, parameters, what can be determined."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.simulation.simulate import Trajectory
 
-TOLD = {"full": "yes", "combination": "partly", "none": "hardly"}
-"""Whether a motion tells a number, by its identifiability."""
+DETERMINED = {"full": "yes", "combination": "partly", "none": "hardly"}
+"""Whether a motion determines a number, by its identifiability."""
 
 
 def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[str, Any]:
@@ -58,7 +58,8 @@ def _imu_facts(machine: Machine, motion: Trajectory | None) -> dict[str, Any]:
     """What a motion tells of where units sit, of their biases and of the joints' positions: standard deviations."""
     found = expected_calibration(machine, motion)
     numbers = [{"name": each.name.replace(f"{NAME}: ", "bias of "), "unit": each.unit, "stated_std": each.prior_std,
-                "expected_std": each.std, "told": TOLD[each.identifiability]} for each in found.parameters.values()]
+                "expected_std": each.std, "told": DETERMINED[each.identifiability]}
+               for each in found.parameters.values()]
     spread = {joint: float(np.sqrt(np.mean(np.concatenate([one[f"{joint}.q_std"] for one in found.motions]) ** 2)))
               for joint in machine.joints}
     return {"motion": f"a random motion of {DURATION:g} s" if motion is None else "the given motion",
@@ -91,7 +92,7 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
 def _linkage_facts(machine: Machine, loop: LoopRange) -> dict[str, Any]:
     """What follows what, its transmission ratio over the range, and the margin to a dead point."""
     closure, last = loop.assembly.closure, loop.assembly.closure.follows[-1]
-    ratios = [{"ratio": f"d {joint} / d {last}", "min": round(least, 4), "max": round(greatest, 4),
+    ratios = [{"ratio": f"{joint} / {last}", "min": round(least, 4), "max": round(greatest, 4),
                "unit": machine.ratio_unit(joint, last)} for joint, (least, greatest) in loop.ratios.items()]
     return {"linkage": ", ".join(each.name for each in closure.statements), "follows": ", ".join(closure.follows),
             "dependent": ", ".join(closure.joints), "ratios": ratios, "margin_deg": round(math.degrees(loop.angle), 2),

@@ -9,7 +9,7 @@ from rich.text import Text
 SHORT = 2.0
 """Seconds up to which a job shows neither percentage nor time."""
 LONG = 5400
-"""Seconds from which on time is told in hours."""
+"""Seconds from which on time is stated in hours."""
 
 
 class Left(ProgressColumn):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
 
 UNKNOWN = 0.25
-"""Standard deviation of a joint's position, as a part of its range, beyond which nothing tells it."""
+"""Standard deviation of a joint's position, as a part of its range, beyond which it is not determined."""
 
 
 def show(
@@ -30,7 +30,7 @@ def show(
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
         "Directory that receives everything: machine.html, or with --hydraulics hydraulics.html and .csv."))] = None,
     motion: Annotated[Path | None, typer.Option("--motion", metavar="LOG", help=(
-        "Log whose joint positions are followed, such as excite's trajectory.csv; what IMUs tell is that of this "
+        "Log whose joint positions are followed, such as excite's trajectory.csv; what IMUs determine is that of this "
         "motion, or of a random one if not given."))] = None,
     everything: Annotated[bool, typer.Option("--all", help=(
         "Show every channel and parameter, and what each stage of the calibration identifies."))] = False,
@@ -87,7 +87,7 @@ def _tables(facts: dict[str, Any], *, everything: bool) -> dict[str, list[dict[s
               "Sensors (standard deviation of a reading)": facts["sensors"], "Parameters": facts["parameters"],
               "Hydraulic parameters": facts["hydraulic_parameters"]}
     if facts["imus"]:
-        tables[f"IMUs: what {facts['imus']['motion']} tells (standard deviations)"] = facts["imus"]["numbers"]
+        tables[f"IMUs: what {facts['imus']['motion']} determines (standard deviations)"] = facts["imus"]["numbers"]
     return tables
 
 
@@ -97,8 +97,9 @@ def _lines(facts: dict[str, Any], *, everything: bool) -> list[str]:
     relations = [f"{each['coupling']}: {each['relation']}" for each in facts["couplings"]]
     relations += [f"{each['cylinders']} together move {each['joints']}; least angle to a singular posture "
                   f"{each['margin_deg']:.1f} deg, at {each['margin_at']}" for each in facts["spans"]]
-    relations += [f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
-                  f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}" for each in facts["linkages"]]
+    relations += [f"{each['linkage']}: {each['dependent']} follow {each['follows']}; speed ratios {_ratios(each)}; "
+                  f"least angle to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}"
+                  for each in facts["linkages"]]
     lines = [f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
              f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
              f"{counts['none']} have no effect on the actuator forces.", *relations]
@@ -110,7 +111,7 @@ def _lines(facts: dict[str, Any], *, everything: bool) -> list[str]:
         return [*lines, *(["Kinematic calibration"] if calibration else []), *calibration]
     if imus:
         told = sum(each["told"] == "yes" for each in imus["numbers"])
-        lines.append(f"That motion tells {told} of {len(imus['numbers'])} numbers of the IMUs.")
+        lines.append(f"That motion determines {told} of {len(imus['numbers'])} numbers of the IMUs.")
     lines += [line for line in (summary.hydraulics(hydraulic), summary.calibration(calibration)) if line]
     return [*lines, "Each parameter and channel: --all. A drawing: -o DIR."]
 

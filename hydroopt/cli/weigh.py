@@ -50,7 +50,7 @@ def weigh(
     roll: Annotated[str | None, typer.Option(help="Roll of the base as measured, e.g. '2 deg'.")] = None,
     pitch: Annotated[str | None, typer.Option(help="Pitch of the base as measured.")] = None,
     slope_sigma: Annotated[str, typer.Option(help=(
-        "Standard deviation of roll and pitch; the tare tells them where they are not measured."))] = "3 deg",
+        "Standard deviation of roll and pitch; the tare determines them where they are not measured."))] = "3 deg",
     zero_drift: Annotated[str, typer.Option(help=(
         "Standard deviation of each pressure's zero since the calibration."))] = "0.35 bar",
     load_friction: Annotated[float, typer.Option(help=(

@@ -18,8 +18,8 @@ from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
 
-TOLD = 200
-"""Samples after which progress is told."""
+REPORTED = 200
+"""Samples after which progress is reported."""
 OVERRUN = 0.2
 """Part of a joint's range by which it may exceed its limits; beyond that the machine hits its stops and the run
 ends."""
@@ -130,7 +130,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
         theta: its hydraulic ones.
         seed: of the sensors' errors; None for sensors without any.
         bias: by which the readings of the joints' angles are off (n,) [rad or m]; None for no bias.
-        progress: is told the part of the motion that is done.
+        progress: receives the part of the motion that is done.
 
     Raises:
         ProblemError: the motion's start cannot be held.
@@ -150,7 +150,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
     states, acting, commands = [], [], []
     controller.reset()
     for k in range(len(t)):
-        if k % TOLD == 0:
+        if k % REPORTED == 0:
             progress("", k / len(t))
         q = x[:n]
         if np.any(np.abs(q - middle) > reach):

@@ -118,7 +118,7 @@ class Comparison(Answer):
         best = self.winner
         weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_ELSEWHERE)
                 if best.name in each.subject]
-        condition = f"RMS of the tip on this motion, simulated with the truth {self.setting.true.text}"
+        condition = f"RMS of the tip on this motion, simulated; truth: {self.setting.true.text}"
         reason = best.run.stopped or (weak[0].text if weak else "")
         figure = None if best.run.stopped else best.tip_rms
         return (Use(Purpose.CONTROL, best.name, Usable.NO if reason else Usable.YES, figure, "m",
@@ -228,13 +228,13 @@ class Comparison(Answer):
                 "runs.csv": encoded_columns(columns)}
 
     def __str__(self) -> str:
-        lines = [f"{self.machine_name}: {len(self.reference)} samples at {self.setting.rate:g} Hz, truth "
-                 f"{self.setting.true.text}"]
+        lines = [f"{self.machine_name}: {len(self.reference)} samples at {self.setting.rate:g} Hz, "
+                 f"truth: {self.setting.true.text}"]
         for outcome in self.outcomes:
             lines.append(f"  {outcome.name}: " + (outcome.run.stopped or (
                 f"tip {1e3 * outcome.tip_rms:.1f} mm RMS, {1e3 * outcome.tip.max():.1f} mm at most; "
                 f"{outcome.run.pressure.max() / 1e5:.0f} bar at most, {outcome.run.energy / 1e3:.0f} kJ"))
-                + (" *" if outcome is self.winner else ""))
+                + (" (best)" if outcome is self.winner else ""))
         if self.draws:
             nominal, identified = ([getattr(each, key) for each in self.draws] for key in ("nominal", "identified"))
             lines.append(f"  {len(self.draws)} drawn machines, feedforward: tip {spread(nominal)} RMS with the machine "
@@ -269,7 +269,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         setting: machine, motion and truth.
         variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: the motion demands more than pump or valves give, the base moves in it, or a loop

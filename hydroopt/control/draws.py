@@ -44,7 +44,7 @@ def draws(setting: Setting, count: int, *, progress: Progress = silent) -> tuple
     Args:
         setting: machine, motion, rate and sensitivity; seeds begin with its own.
         count: number of machines.
-        progress: is told the part that is done.
+        progress: receives the part that is done.
 
     Raises:
         ProblemError: the machine cannot be tested so, see `valve_test`.

@@ -124,4 +124,4 @@ def truth(source: str, plant: Plant, *, seed: int) -> Truth:
                            remedy=f"simulate {model.machine.name} with the same parameters") from None
     if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
         raise ProblemError("a true parameter is not a number", where=source, remedy="simulate again")
-    return Truth(ModelVariant(TRUE, "the truth of a simulated log", model, psi), theta)
+    return Truth(ModelVariant(TRUE, "that of the simulated log", model, psi), theta)

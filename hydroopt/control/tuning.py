@@ -134,7 +134,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
         points: at which the robustness has to hold.
         valves: with the parameters that the controller uses.
         largest: sensitivity that is allowed.
-        progress: is told the axes, and the part of them that is done.
+        progress: receives the axes, and the part of them that is done.
 
     Raises:
         ProblemError: an axis has no gains that are robust enough.

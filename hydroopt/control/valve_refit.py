@@ -153,7 +153,7 @@ def length_std(plant: Plant, lever_arm: ca.SX) -> list[ca.SX]:
 
 
 class ValveRefit:
-    """Factors on the flows that a controller reckons with, estimated while it drives.
+    """Factors on the flows that a controller uses, estimated while it drives.
 
     Args:
         plant: the machine as the controller knows it.

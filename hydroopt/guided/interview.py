@@ -37,7 +37,7 @@ class _Interview:
             yield Question(f"{kind.slew}.height", f"How high is the {first.first} above the ground?", "m",
                            kind.slew_height, "vertically, the machine on level ground", least=-5, most=30)
             yield Question(f"{kind.slew}.offset", f"How far in front of the swing's axis is the {first.first}?", "m",
-                           0.0, "0 mm if you cannot tell; behind counts negative", least=-5, most=5)
+                           0.0, "0 mm if unknown; behind counts negative", least=-5, most=5)
         for k, member in enumerate(self.sketch.members):
             yield from self._member(k, member)
         if kind.telescope is not None:

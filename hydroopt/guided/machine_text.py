@@ -43,7 +43,7 @@ class _Writer:
         yield "# estimators believe. Pins stand in the frame of their link: x from its first pin to its last, y up when"
         yield "# the link points forward, z sideways."
         yield f'name = "{name}"'
-        yield f'description = "{name}, described by the guided start of hydroopt"'
+        yield 'description = "described by the guided start of hydroopt"'
         yield 'bandwidth = { value = "2 Hz", source = "assumed: what the valves of such a machine follow" }'
         if self.kind.slew:
             yield 'ground = { value = "0 m", source = "level ground" }'

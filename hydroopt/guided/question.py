@@ -73,6 +73,7 @@ class Question:
             if re.fullmatch(r"[A-Za-z]\w{0,63}", text, re.ASCII) is None:
                 raise AnswerError(f"'{text}' is not a name: begin with a letter, then use letters, digits and _")
             return text
+        text = _with_point(text)
         try:
             value = float(text) if self.unit == "1" else to_si(text, self.unit, where="answer")
         except ValueError:
@@ -84,3 +85,22 @@ class Question:
             whole = "a whole number from " if self.unit == "1" else ""
             raise AnswerError(f"{text} is outside what is possible here: {whole}{bounds}")
         return value
+
+
+def _with_point(text: str) -> str:
+    """A number whose decimal comma cannot mean thousands, with a point.
+
+    Raises:
+        AnswerError: it may mean either.
+
+    >>> _with_point("1,85 m"), _with_point("0,125 m"), _with_point("1.85 m")
+    ('1.85 m', '0.125 m', '1.85 m')
+    """
+    found = re.match(r"([+-]?\d+),(\d+)(?![\d.,])", text)
+    if found is None:
+        return text
+    whole, decimals = found.groups()
+    if len(decimals) == 3 and whole.strip("+-0"):
+        raise AnswerError(f"'{text}' may mean thousands or decimals: write a point for decimals, and nothing for "
+                          "thousands")
+    return f"{whole}.{decimals}{text[found.end():]}"

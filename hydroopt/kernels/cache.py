@@ -1,7 +1,7 @@
 """The folder of compiled kernels.
 
-Whoever can write there runs code as this user. The folder is used only if nobody else can: it belongs to this user, and
-only this user and root can write to it and to the folders above it, as ssh requires of its keys.
+Whoever can write there runs code as this user. The folder is used only if no other user can: it belongs to this user,
+and only this user and root can write to it and to the folders above it, as ssh requires of its keys.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Input(NamedTuple):
 
 
 class Program(NamedTuple):
-    """Operations in an order in which they can be carried out, with what goes in and comes out."""
+    """Operations in an order in which they can be carried out, with inputs and outputs."""
 
     name: str
     inputs: tuple[Input, ...]

@@ -246,7 +246,7 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> c
 
 
 def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:
-    """The library of this key in a folder that nobody else can write; what is there but not whole is made anew.
+    """The library of this key in a folder that only this user can write; what is there but not whole is made anew.
 
     The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
     """
@@ -258,7 +258,7 @@ def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CD
             entry.unlink()
     with cache.scratch(folder) as place:
         built = compiled(place)
-        built.chmod(0o700)  # whatever the umask: nobody else may write it
+        built.chmod(0o700)  # whatever the umask: only this user may write it
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
         return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))
 

@@ -1,8 +1,8 @@
 """A base that stands on a slope or moves: what a file says of it, as the measured joints that it stands for.
 
 From the frame `base`, which rests, up to six joints of a free link (`hydroopt.machine.free_links`) lead to the link
-`chassis`, on which all stands that the file puts on the base. The ground moves them, by forces that nobody measures, so
-that their equations are eliminated; their positions are measured.
+`chassis`, on which all stands that the file puts on the base. The ground moves them, by forces that are not measured,
+so that their equations are eliminated; their positions are measured.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from hydroopt.machine.quantity import Angle, ImpossibleError, Lengths, Name, Nou
 from hydroopt.machine.targets import GROUND
 
 TURNED_UP = math.radians(85.0)
-"""Pitch beyond which roll and yaw of an instrument can hardly be told apart."""
+"""Pitch beyond which roll and yaw of an instrument can hardly be distinguished."""
 
 
 class Instrument(Noun):

@@ -5,8 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
@@ -191,7 +194,7 @@ class Machine(Drawn, MachineDescription):
             if lost := next((each.name for each in shared if not each.measured), None):
                 raise ImpossibleError(f"'{lost}' is not measured, one of {len(shared)} actuators that move "
                                       f"{len(group)} joints, {', '.join(group)}, together: the equations of motion "
-                                      "cannot tell its force from those of the others",
+                                      "cannot distinguish its force from those of the others",
                                       "measure all of them, or state as many as joints")
         if self.joints and not self.measured_actuators:
             raise ImpossibleError("no equation of motion contains a measured force",
@@ -407,6 +410,16 @@ class Machine(Drawn, MachineDescription):
                 raise MachineError(rule.what, where=where, remedy=rule.remedy) from None
             raise MachineError(f"{first['msg'][:1].lower()}{first['msg'][1:]}, not {first['input']!r:.40}",
                                where=f"{where}: {'.'.join(map(str, first['loc']))}", remedy="correct it") from None
+
+    @cached_property
+    def source(self) -> str:
+        """What names it on a command line: a bundled machine or a path, and ``MACHINE`` if it was made in memory."""
+        return "MACHINE"
+
+    def loaded_from(self, source: str | Path) -> Self:
+        """Itself, with the `source` that it was read from; two machines may be equal and have different ones."""
+        self.__dict__["source"] = shlex.quote(str(source))
+        return self
 
     @property
     def sha256(self) -> str:

@@ -145,7 +145,7 @@ def _dyad_motion(geometry: Geometry, assembly: DyadAssembly, tree: Coordinates) 
 
 
 def _turns(found: Bars, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Rates of both bars that move the end of the second one as told."""
+    """Rates of both bars that move the end of the second one as stated."""
     return ca.dot(rates, found.second) / found.across, -ca.dot(rates, found.first) / found.across
 
 

@@ -89,6 +89,7 @@ def _limit(use: UseOfLimit) -> dict[str, str]:
     largest = max(abs(x) for x in (use.lower, use.lowest, use.highest, use.upper) if np.isfinite(x))
     lower, lowest, highest, upper, room = (plain(0.0 if abs(x) < 1e-6 * largest else factor * x) for x in (
         use.lower, use.lowest, use.highest, use.upper, use.room))
+    lowest = lowest if np.isfinite(use.lower) else NONE
     return {"name": use.name, "unit": name, "lower": lower, "lowest": lowest, "highest": highest, "upper": upper,
             "room": room, "part": percent(use.part)}
 

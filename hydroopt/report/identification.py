@@ -126,7 +126,7 @@ def _readings(misfit: Misfit | None) -> list[tuple[str, bool, str, str, str, str
 
 
 def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, bool, str]]:
-    """Faults found: words, size with limits and unit, whether both halves show it, and what is not told apart."""
+    """Faults found: words, size with limits and unit, whether both halves show it, and what is not distinguished."""
     rows = []
     for one in misfit.found if misfit else ():
         size, low, high = (plain(x * one.fault.factor, 3) for x in (one.size, *one.ci95))
@@ -151,7 +151,7 @@ def _groups(estimate: Estimate) -> list[Group]:
         groups.setdefault(owner, []).append(Parameter(
             name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal),
             NONE if one.prior_std is None else plain(one.prior_std, 2),
-            NONE if one.information_from_data is None else percent(one.information_from_data), one.bound or "",
+            NONE if one.information_from_data is None else plain(100 * one.information_from_data, 2), one.bound or "",
             one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high,
             interval(one)))
     least = estimate.consistency

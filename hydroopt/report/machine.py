@@ -9,9 +9,11 @@ import numpy as np
 
 from hydroopt.report.charts import Curves
 from hydroopt.report.drawing import View, drawn
+from hydroopt.report.numbers import unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.readable import readable
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
@@ -26,10 +28,18 @@ TABLES = {"joints": "Joints", "cylinders": "Cylinders", "spans": "Cylinders that
 """Which facts a page shows as tables, with their titles."""
 
 
+HEADINGS = {"head_area_cm2": "head area [cm²]", "rod_area_cm2": "rod area [cm²]", "length_min_m": "least length [m]",
+            "length_max_m": "greatest length [m]", "lever_arm_min_m": "least lever arm [m]",
+            "lever_arm_max_m": "greatest lever arm [m]", "ratios": "speed ratios",
+            "margin_deg": "to a dead point [deg]", "margin_at": "at",
+            "std": "standard deviation", "rate_hz": "rate [Hz]", "prior_std": "prior σ"}
+"""How a table heads a fact, where its name alone does not do."""
+
+
 def curves(machine: Machine, arms: Sequence[Curve], ratios: Sequence[Curve]) -> list[Curves]:
     """Lever arms of cylinders and transmission ratios of loops, each over the joint that it moves or follows."""
     named = [(curve, _arm_of(machine, curve), "predicted") for curve in arms]
-    named += [(curve, f"d {curve.subject} / d {curve.joint}", "other") for curve in ratios]
+    named += [(curve, f"speed ratio {curve.subject} / {curve.joint}", "other") for curve in ratios]
     made = []
     for curve, title, look in named:
         turns = machine.link(curve.joint).joint.type == "revolute"
@@ -60,4 +70,14 @@ def render(scene: SceneGraph, facts: Mapping[str, Any], side: SidePostures, arms
         diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
         identifiability=facts["identifiability"],
         side_view=seen.svg(seen.told(machine.name, SIDE), axes=True), ratios=ratios,
-        tables=[(title, facts[key]) for key, title in TABLES.items() if facts[key]])
+        tables=[(title, [_row(row) for row in facts[key]]) for key, title in TABLES.items() if facts[key]])
+
+
+def _row(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a table by its headings: units in print, and standard deviations of readings with theirs."""
+    row = dict(facts)
+    if "rate_hz" in row:
+        row["std"] = readable(row["std"], row.pop("unit"))
+    if "unit" in row:
+        row["unit"] = unit_text(row["unit"])
+    return {HEADINGS.get(key, key.replace("_", " ")): value for key, value in row.items()}

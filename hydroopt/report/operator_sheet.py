@@ -63,7 +63,7 @@ def _steps(excitation: Excitation) -> list[tuple[str, list[str]]]:
     problem, path = excitation.problem, excitation.trajectory
 
     def posture(q: Array) -> list[str]:
-        return [f"{_unit(excitation, joint)[1] * value:.1f}"
+        return [plain(round(_unit(excitation, joint)[1] * value, 1))
                 for joint, value in zip(problem.machine.joints, q, strict=True)]
 
     found = excitation.approach
@@ -87,7 +87,7 @@ def _stop(use: UseOfLimit) -> tuple[str, str, str, str]:
     """What to watch, its unit, what the motion reaches, and where to stop."""
     unit, factor = PRINTED.get(use.unit, (unit_text(use.unit), 1.0))
     low, high = np.isfinite(use.lower), np.isfinite(use.upper)
-    reached = [plain(factor * value, 4) for value, bounded in ((use.lowest, low), (use.highest, high)) if bounded]
-    stop = [f"{word} {plain(factor * bound, 4)}" for word, bound, bounded in (
+    reached = [plain(factor * value, 3) for value, bounded in ((use.lowest, low), (use.highest, high)) if bounded]
+    stop = [f"{word} {plain(factor * bound, 3)}" for word, bound, bounded in (
         ("below", use.lower, low), ("above", use.upper, high)) if bounded]
     return use.name, unit, " to ".join(reached), ", ".join(stop)

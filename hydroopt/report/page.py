@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
@@ -22,6 +23,8 @@ from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
 from hydroopt.results.diagnostic import Diagnostic
 
+CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
+"""What a sentence shows as code: text between backticks, quoted commands, options."""
 SCRIPTS = ("core", "kinematics", "scene", "charts", "tables", "start")
 """The page's own scripts, in order."""
 
@@ -47,6 +50,7 @@ def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_safe,
         loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
+    environment.filters["prose"] = _prose
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
     return environment
 
@@ -80,6 +84,13 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
         scripts=[Markup(text) for text in scripts], **content)
 
 
+def _prose(text: str) -> Markup:
+    """A sentence with its commands and options as code, in which a number and its unit stay on one line."""
+    together = re.sub(r"(\d) (?=[^\W\d]|%|\()", "\\1\N{NO-BREAK SPACE}", text)
+    return Markup("").join(Markup("<code>{}</code>").format(part.strip("'`")) if k % 2 else part
+                           for k, part in enumerate(CODE.split(_safe(together))))
+
+
 def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:
     index, chart = numbered
     lines = isinstance(chart, TimeChart | Curves)
@@ -102,6 +113,6 @@ def _digest(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _safe(value: object) -> object:
+def _safe(value: object) -> Any:
     """Names and other texts from files without characters that a page would not show as they are."""
     return visible(value, keep=f"\n{SPACE}") if type(value) is str else value

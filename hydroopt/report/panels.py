@@ -9,7 +9,8 @@ import numpy as np
 
 from hydroopt.report.charts import LOOKS, TimeChart
 from hydroopt.report.charts import Line as ChartLine
-from hydroopt.report.numbers import unit_text
+from hydroopt.report.numbers import Row, quantity, unit_text
+from hydroopt.results.parameter_table import ParameterRow
 from hydroopt.spatial.inertia import Array
 
 DEG = 180 / np.pi
@@ -19,6 +20,10 @@ PRINTED: Mapping[str, tuple[str, float]] = {
 """Units that a reader prefers, and what SI is multiplied by."""
 SMALL: Mapping[str, tuple[str, float]] = {"rad": ("deg", DEG), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}
 """The same for errors."""
+NUMBERS: Mapping[str, tuple[str, float]] = {
+    **SMALL, "rad/s": ("deg/s", DEG), "m^3/s": ("L/min", 6e4), "m^3": ("L", 1e3),
+    "m^3/(s*Pa)": ("mL/(min·bar)", 6e12)}
+"""The same for parameters and single numbers."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,14 @@ def charts_of(panels: Iterable[Panel], units: Mapping[str, tuple[str, float]] = 
         span = None if panel.span is None else (factor * panel.span[0], factor * panel.span[1])
         made.append(TimeChart(f"{panel.title} [{unit}]", lines, limits=tuple(limits), span=span))
     return made
+
+
+def printed(one: ParameterRow) -> tuple[str, Row]:
+    """A parameter's unit in print, and its numbers in that unit."""
+    unit, factor = NUMBERS.get(one.unit, (unit_text(one.unit), 1.0))
+    low, high = one.ci95 or (np.nan, np.nan)
+    value, std, nominal = (np.nan if x is None else factor * x for x in (one.value, one.std, one.nominal))
+    return unit, quantity(value, std, (factor * low, factor * high), nominal)
 
 
 def positions(joints: Iterable[str], q: Array) -> MutableMapping[str, Array]:

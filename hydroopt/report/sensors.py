@@ -9,8 +9,9 @@ import numpy as np
 
 from hydroopt.report.charts import Chart, Line, TimeChart
 from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import Row, plain, quantity, unit_text
+from hydroopt.report.numbers import plain, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import NUMBERS, printed
 from hydroopt.report.samples import Recording, Samples, joined
 from hydroopt.report.scene import SceneView
 from hydroopt.spatial.inertia import Array
@@ -18,15 +19,11 @@ from hydroopt.spatial.inertia import Array
 if TYPE_CHECKING:
     from hydroopt.estimation.motion.sensor_calibration import SensorCalibration
 
-PRINTED = {"rad": ("deg", 180 / np.pi), "rad/s": ("deg/s", 180 / np.pi), "m": ("mm", 1e3)}
-"""Units that a reader prefers, and what SI is multiplied by."""
-
 
 def render(calibration: SensorCalibration) -> str:
     """The report as one HTML page that needs nothing else."""
     machine, table = calibration.problem.machine, calibration.parameters
-    rows = [(name, unit_text(each.unit), _numbers(each.value, each.std, each.ci95, each.nominal), each.identifiability,
-             interval(each)) for name, each in table.items()]
+    rows = [(name, *printed(each), each.identifiability, interval(each)) for name, each in table.items()]
     samples = _samples(calibration)
     replayed = tuple(f"{joint}.q" for joint in machine.joints) if calibration.motions else ()
     courses = calibration.motions
@@ -47,14 +44,8 @@ def render(calibration: SensorCalibration) -> str:
                 for kind in ("full", "combination", "none")})
 
 
-def _numbers(value: float | None, std: float | None, ci95: tuple[float, float] | None,
-             nominal: float | None) -> Row:
-    at, spread, before = (np.nan if each is None else each for each in (value, std, nominal))
-    return quantity(at, spread, ci95 or (np.nan, np.nan), before)
-
-
 def _in_print(value: float, unit: str) -> tuple[str, str]:
-    name, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
+    name, factor = NUMBERS.get(unit, (unit_text(unit), 1.0))
     return plain(factor * value, 3), name
 
 
@@ -64,7 +55,7 @@ def _samples(calibration: SensorCalibration) -> Samples:
     for k, course in enumerate(calibration.motions):
         columns: dict[str, Array] = {}
         for joint in machine.joints:
-            factor = PRINTED[machine.position_unit(joint)][1]
+            factor = NUMBERS[machine.position_unit(joint)][1]
             q, wide = factor * course[f"{joint}.q"], 1.96 * factor * course[f"{joint}.q_std"]
             columns |= {f"{joint}.q": course[f"{joint}.q"], joint: q, f"{joint} low": q - wide,
                         f"{joint} high": q + wide}
@@ -79,7 +70,7 @@ def _charts(calibration: SensorCalibration, samples: Samples) -> list[Chart]:
     for joint in machine.joints if calibration.motions else ():
         q = samples.columns[joint][np.isfinite(samples.columns[joint])]
         margin = 0.2 * float(np.ptp(q)) + 1e-6
-        made.append(TimeChart(f"{joint} [{PRINTED[machine.position_unit(joint)][0]}]", (Line(joint, joint),),
+        made.append(TimeChart(f"{joint} [{NUMBERS[machine.position_unit(joint)][0]}]", (Line(joint, joint),),
                               span=(float(q.min()) - margin, float(q.max()) + margin),
                               shaded=(("predicted", f"{joint} low", f"{joint} high"),)))
     return made

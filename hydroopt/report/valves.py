@@ -11,9 +11,9 @@ from markupsafe import Markup
 from hydroopt.report import hydraulics
 from hydroopt.report.charts import Chart, Line, TimeChart
 from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
+from hydroopt.report.numbers import NONE, Row, percent, plain, unit_text
 from hydroopt.report.page import document
-from hydroopt.report.panels import SMALL
+from hydroopt.report.panels import SMALL, printed
 from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
@@ -35,9 +35,8 @@ class Parameter(NamedTuple):
 def render(estimate: HydraulicEstimate) -> str:
     """The report as one HTML page that needs nothing else."""
     problem, found = estimate.problem, estimate.adjustment
-    lines = [Parameter(name, unit_text(each.unit), quantity(
-        _or_nan(each.value), _or_nan(each.std), each.ci95 or (np.nan, np.nan), _or_nan(each.nominal)),
-        each.identifiability, each.bound or "", interval(each)) for name, each in estimate.parameters.items()]
+    lines = [Parameter(name, *printed(each), each.identifiability, each.bound or "", interval(each))
+             for name, each in estimate.parameters.items()]
     machine = problem.plant.machine
     return document(
         "valves.html", samples=joined(_recordings(estimate)), charts=_charts(estimate), verdict=estimate.verdict,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -56,11 +57,11 @@ class Fit:
         return cls(float(np.sqrt(error / count)), vaf, float(relative), unit)
 
     def __str__(self) -> str:
-        text = (f"RMS {self.rms:10.4g} {self.unit:<5} relative {100 * self.relative:6.2f} %  "
+        text = (f"RMS {readable(self.rms, self.unit, 3):>12}  relative {100 * self.relative:6.2f} %  "
                 f"VAF {100 * self.vaf:7.3f} %")
         if self.largest is None or self.of_range is None:
             return text
-        return f"{text}  largest {self.largest:10.4g}  {100 * self.of_range:6.2f} % of the range"
+        return f"{text}  largest {readable(self.largest, self.unit, 3):>12}  {100 * self.of_range:6.2f} % of the range"
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file: None where a number does not exist; `largest` and `of_range` of free runs only."""

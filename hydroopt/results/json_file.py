@@ -123,7 +123,7 @@ def text_files(directory: Path, content: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _left_by_answers(directory: Path) -> Iterator[str]:
-    """Names of the files that earlier answers left in a directory and nobody has changed since."""
+    """Names of the files that earlier answers left in a directory and that are unchanged since."""
     for json_name in dict.fromkeys(FILES.values()):
         try:
             content = json.loads((directory / json_name).read_bytes())

@@ -12,7 +12,7 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "origin of the frame."),
     Kind.GRAVITY_IDLE: Words(
         "Gravity does no work on any joint ({subject}): as the file states them, the axes of all joints that turn are "
-        "vertical, so that holding still takes no force and tells nothing about masses.",
+        "vertical, so that holding still takes no force and shows nothing of masses.",
         "If joints turn about level axes, state it: orientation = [\"90 deg\", \"0 deg\", \"0 deg\"] turns the base "
         "frame's y axis up."),
 }

@@ -82,7 +82,7 @@ POSE_WORDS: dict[Kind, Words] = {
         "Look for the cause in those poses, or calibrate with them: the suspects are then named."),
     Kind.LARGER_ON_VALIDATION: Words(
         "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}); this method has no "
-        "intervals that tell whether so much is to be expected.", "Use the method 'joint'."),
+        "intervals that show whether so much is to be expected.", "Use the method 'joint'."),
     Kind.NO_REDUNDANCY: Words(
         "There are as many equations as parameters, so that the size of the errors is not known.",
         "Measure more poses."),

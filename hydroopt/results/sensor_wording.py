@@ -31,7 +31,7 @@ SENSOR_WORDS: dict[Kind, Words] = {
         "forces of {actuator} by {part:.1f %}, which masses and intervals leave out.",
         "Survey three points of the tip, or twelve postures at rest, and calibrate the sensors with them (--at-rest)."),
     Kind.PRESSURE_NOT_MEASURED: Words(
-        "{log} lacks {subject}: only the other chamber of the actuator tells of its valve and oil."),
+        "{log} lacks {subject}: only the other chamber of the actuator shows its valve and oil."),
     Kind.FORCE_NOT_MEASURED: Words(
         "{log} lacks {channels}: the equations of {subject} are not used there, those of other actuators are.",
         "Record or map what is missing; state measured = false of an actuator that is never measured."),

@@ -275,7 +275,7 @@ WORDS: dict[Kind, Words] = {
     Kind.VALVE_SATURATED: Words("With {subject} the valve of {valve} is fully open {part:.0f %} of the time."),
     Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
     Kind.RANDOM_TELLS_MORE: Words(
-        "The best of {motions} random motions tells more than this one: the search ended too early.",
+        "The best of {motions} random motions determines more than this one: the search ended too early.",
         "Search longer (`--seconds`) or from more starts (`--starts`)."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
     Kind.LIMIT_BROKEN: Words(
@@ -356,11 +356,11 @@ WORDS: dict[Kind, Words] = {
         "show it alike, and it leaves no misfit.",
         "{remedy}"),
     Kind.LACK_OF_FIT: Words(
-        "The residuals of {worst} {course}, {ratio:.2g} times as large as noise and smoothing explain "
+        "The residuals of {worst} {course}, {ratio:.3g} times as large as noise and smoothing explain "
         "({said}){others}. The model lacks something that is not in the list of faults, or several faults at once.",
         "Intervals hold only as far as the model does: see the figure of the residuals."),
     Kind.FASTER_THAN_SMOOTHING: Words(
-        "{part:.0f %} of the residuals of {subject}, {ratio:.2g} times as large as noise explains, are faster than the "
+        "{part:.0f %} of the residuals of {subject}, {ratio:.3g} times as large as noise explains, are faster than the "
         "{bandwidth:.2g} Hz that smoothing passes, most at {hertz:.2g} Hz: motion that smoothing takes away, as after "
         "steps of valves, or a fast effect that the model lacks.",
         "Drive smoother, without steps of the valves; or let faster motion pass (--bandwidth, or bandwidth in the "
@@ -383,7 +383,8 @@ WORDS: dict[Kind, Words] = {
         "intervals are those of their mean."),
     Kind.STATED_CONTRADICTED: Words(
         "The sensors contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
-        "Check these numbers, or widen the sigmas of all of their kind: what motion does not tell is known no better."),
+        "Check these numbers, or widen the sigmas of all of their kind: what motion does not determine stays as "
+        "uncertain as it is."),
     Kind.BODIES_CONTRADICTED: Words(
         "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "
         "parameters together would agree ({probability}, corrected for {tests} tests).",

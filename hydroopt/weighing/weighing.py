@@ -200,8 +200,24 @@ class Weighing(Answer):
             Use(Purpose.WEIGHING, each.name, Usable.NO, reason=str(each.reading.status)) for each in self.loads)
 
     @property
+    def headline(self) -> str:
+        """How many loads were weighed."""
+        if not self.loads:
+            return self.findings[0].text
+        return f"{sum(each.ok for each in self.loads)} of {len(self.loads)} loads are weighed."
+
+    def __str__(self) -> str:
+        load = self.scale.load
+        place, spread = ", ".join(f"{x:.3g}" for x in load.centre), readable(max(load.centre_std), "m")
+        return (f"{super().__str__()}\n  Assumed: the load's centre of mass lies at {place} m in the frame of "
+                f"{load.link}, ±{spread}. State it: --centre, --centre-sigma.")
+
+    @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would weigh better."""
+        if not self.loads:
+            return (NextStep(Action.CHECK, "If a load was carried, check that the machine was empty during the tare: "
+                                           "--tare states how long it is at the beginning."),)
         if all(each.ok for each in self.loads):
             return ()
         return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "

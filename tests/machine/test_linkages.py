@@ -183,5 +183,5 @@ def test_a_cylinder_pinned_past_its_linkage_is_sent_to_the_rocker():
 @pytest.mark.slow
 def test_show_prints_the_transmission_ratio_and_the_margin():
     out = CliRunner().invoke(app, ["show", "excavator_bucket"]).output
-    assert ("bucket_linkage: rocker, coupler follow bucket, d rocker / d bucket from 0.339 to 0.758, d coupler / d "
-            "bucket from -0.896 to 0.320; least angle to a dead point 46.9 deg, at bucket = 10.0 deg\n") in out
+    assert ("bucket_linkage: rocker, coupler follow bucket; speed ratios rocker / bucket from 0.339 to 0.758, coupler "
+            "/ bucket from -0.896 to 0.320; least angle to a dead point 46.9 deg, at bucket = 10.0 deg\n") in out

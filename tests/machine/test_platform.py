@@ -155,7 +155,7 @@ def test_eight_cylinders_of_which_one_is_not_measured_are_refused() -> None:
     data = eight_legs().model_dump() | {"notes": {}, "sensors": ()}
     data["cylinders"] = [each | {"measured": each["name"] != "leg3"} for each in data["cylinders"]]
     with pytest.raises(ValueError, match=r"'leg3' is not measured, one of 8 actuators that move 6 joints, .* together.*"
-                                         r"cannot tell"):
+                                         r"cannot distinguish"):
         Machine.model_validate(data)
 
 

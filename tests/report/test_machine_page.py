@@ -17,9 +17,9 @@ def test_show_draws_the_machine_with_its_linkage(tmp_path):
     assert answer.output.endswith("machine.html\n")
     page = (tmp_path / "out" / "machine.html").read_text("utf-8")
     assert {chart["title"] for chart in data_of(page)["charts"]} >= {"tilt_cylinder: lever arm [m]",
-                                                                     "d bellcrank / d bucket"}
-    for text in ("bellcrank", "tilt_cylinder: lever arm [m]", "d bellcrank / d bucket", "middle of all ranges",
-                 "d bellcrank / d bucket from -0.376 to -0.231"):
+                                                                     "speed ratio bellcrank / bucket"}
+    for text in ("bellcrank", "tilt_cylinder: lever arm [m]", "speed ratio bellcrank / bucket", "middle of all ranges",
+                 "bellcrank / bucket from -0.376 to -0.231"):
         assert text in page
 
 

@@ -53,7 +53,7 @@ def identify_with_geometry(problem: CombinedProblem, method: Method = "sdp", *, 
         SolverError: no trustworthy answer.
     """
     if method not in WITH_PRIORS:
-        raise ProblemError(f"method '{method}' knows no confidences, by which geometry and bodies are told apart",
+        raise ProblemError(f"method '{method}' knows no confidences, by which geometry and bodies are separated",
                            where="geometry", remedy=f"use {', '.join(WITH_PRIORS)}")
     nominal = problem.identification
     kinematics = calibrate(postures(nominal.model.machine, in_memory(nominal.experiments, "geometry")))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -143,7 +144,8 @@ class LogCheck(Answer):
         if self.contradictions:
             return ()
         steps: list[NextStep] = []
-        logs = " ".join(data.log.path or data.log.name for data in self.problem.experiments)
+        logs = " ".join(shlex.quote(data.log.path or data.log.name) for data in self.problem.experiments)
+        machine = self.problem.model.machine.source
         for each in self.diagnostics:
             if each.kind is Kind.FORCE_NOT_MEASURED:
                 steps.append(NextStep(Action.MEASURE, (
@@ -155,9 +157,9 @@ class LogCheck(Answer):
                 f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
         if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
             steps.append(NextStep(Action.DRIVE, (
-                f"Add the motion that 'hydroopt excite MACHINE --log {logs} -o motion' designs.")))
+                f"Add the motion that 'hydroopt excite {machine} --log {logs} -o motion' designs.")))
         steps.append(NextStep(Action.USE, (
-            f"Identify: 'hydroopt identify MACHINE {logs} --holdout 0.3 -o out', with the same options.")))
+            f"Identify: 'hydroopt identify {machine} {logs} --holdout 0.3 -o out', with the same options.")))
         return tuple(steps)
 
     @cached_property

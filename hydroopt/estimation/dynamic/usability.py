@@ -286,15 +286,15 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in told]:
         steps.append(NextStep(Action.CHECK, (
             f"Check the accuracy of the force of {weak[0]}, and try other friction terms: --friction auto.")))
-    names = found.problem.parameters.names
+    names, machine = found.problem.parameters.names, found.problem.model.machine.source
     possible = {names[k] for k, category in enumerate(found.structural.category) if category == FULL}
     if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:
         wanted = " ".join(f"--focus {name}" for name in focus[:3])
         steps.append(NextStep(Action.DRIVE, (
-            f"For {focus[0]}, drive what 'hydroopt excite MACHINE {wanted} -o motion' designs, and add its log.")))
+            f"For {focus[0]}, drive what 'hydroopt excite {machine} {wanted} -o motion' designs, and add its log.")))
     elif not_excited := [name for k, name in enumerate(names) if found.category(k) == "not excited"]:
         steps.append(NextStep(Action.DRIVE, (
-            f"For {not_excited[0]}, drive what 'hydroopt excite MACHINE -o motion' designs, and add its log.")))
+            f"For {not_excited[0]}, drive what 'hydroopt excite {machine} -o motion' designs, and add its log.")))
     if not lacking(Purpose.CONTROL, Usable.NO) and not lacking(Purpose.CONTROL, Usable.UNTESTED):
         steps.append(NextStep(Action.USE, "Write the model as C: 'hydroopt codegen' with this folder."))
     return tuple(steps)

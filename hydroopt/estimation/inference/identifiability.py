@@ -124,11 +124,12 @@ def _first_independent(scaled: Array, rank: int, cut: float) -> list[int]:
         for _ in range(2):  # projecting twice keeps the directions orthogonal to rounding
             rest = rest - directions @ (directions.T @ rest)
         distance[k] = np.linalg.norm(rest)
-        if distance[k] > cut and len(chosen) < rank:
+        if distance[k] > cut:
             chosen.append(k)
             directions = np.column_stack([directions, rest / distance[k]])
-    if len(chosen) < rank:
-        # near the tolerance the two counts may differ: the most distant of those left out complete the basis
+    if len(chosen) > rank:  # near the tolerance the two counts may differ: those nearest to others before them go
+        chosen = sorted(sorted(chosen, key=lambda k: -distance[k])[:rank])
+    elif len(chosen) < rank:  # the most distant of those left out complete the basis
         left = sorted(set(range(scaled.shape[1])) - set(chosen), key=lambda k: -distance[k])
         chosen = sorted(chosen + left[: rank - len(chosen)])
     return chosen

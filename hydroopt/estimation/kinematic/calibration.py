@@ -124,8 +124,8 @@ class Calibration(KinematicSolution, Answer):
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
                     and self.category(use.subject) == FULL]:  # of the others, more poses may tell nothing either
             steps.append(NextStep(Action.MEASURE, (
-                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses MACHINE --focus {weak[0]}' "
-                "plans.")))
+                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses {self.problem.model.machine.source} "
+                f"--focus {weak[0]}' plans.")))
         return (*steps, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
 
     @property

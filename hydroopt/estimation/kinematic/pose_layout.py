@@ -257,7 +257,7 @@ class LayoutBuilder:
                                            remedy=f"name the stage, one of {', '.join(stages)}, or record '{joint}.q'")
                     raise ProblemError(
                         f"the joint '{joint}' is neither sensed, nor locked or moving in stage '{name}'",
-                        where=self._row(row), remedy=f"record '{joint}.q' or a length that tells it, or state "
+                        where=self._row(row), remedy=f"record '{joint}.q' or a length that determines it, or state "
                                                           f"in the machine file's stage '{name}' what the joint does")
                 if joint not in locked_since:
                     note = self.machine.notes.get(f"{name}.locked.{joint}")

@@ -80,7 +80,7 @@ def first_guess(machine: Machine, readings: Mapping[tuple[str, ...], SensorReadi
         joint = machine.joints[int(np.flatnonzero(~depends)[0])]
         turns = machine.position_unit(joint) == "rad"  # of a joint that slides, an IMU tells accelerations at most
         raise LogError(f"no reading depends on the joint '{joint}'" if turns else
-                       f"no reading tells the position of the joint '{joint}', which slides", where=data[0].name,
+                       f"no reading determines the position of the joint '{joint}', which slides", where=data[0].name,
                        remedy="record its angle, the length of its cylinder, or an IMU on the link that it moves"
                        if turns else "record it, or the length of its cylinder")
     return np.asarray(begin + STEP * (np.arange(count) + 0.5), dtype=np.float64), path

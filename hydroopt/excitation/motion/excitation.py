@@ -16,7 +16,7 @@ from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamic.usability import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.approach import Approach, approach, start_of
-from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
+from hydroopt.excitation.motion.diagnostics import UNIMPROVED, excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion
@@ -29,13 +29,16 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Use
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
 
 METHOD = "sequential quadratic programming"
+COMPARED = {"condition": "condition number", "E": "largest standard deviation"}
+"""What is compared with random motions, by criterion; by the others it is the standard deviations on average."""
 TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
 
@@ -126,17 +129,35 @@ class Excitation(Answer):
                 prior_std=float(self.accuracy.before[k]), std=float(self.accuracy.after[k]),
                 identifiability=structure.category[k]) for k, name in enumerate(stated.names)])
 
+    @property
+    def headline(self) -> str:
+        """What it is worth, beside what is known and beside random motions."""
+        table = self.parameters.rows
+        sharper = [each.std / each.prior_std for each in table
+                   if each.std is not None and each.prior_std and each.std <= UNIMPROVED * each.prior_std]
+        random = (f"the best of {self.random_motions} random motions has {self.gain:.2g} times the "
+                  f"{self.compared}")
+        if not sharper:
+            return f"No parameter is expected to become more certain; {random}."
+        return (f"{len(sharper)} of {len(table)} parameters are expected to become more certain, in the median to "
+                f"{100 * float(np.median(sharper)):.2g} % of their standard deviation before; {random}.")
+
     @cached_property
     def uses(self) -> tuple[Use, ...]:
-        """Which masses an identification from this motion will determine."""
-        return tuple(expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS)
+        """That it keeps the limits, and which masses an identification from it will determine."""
+        tight = min(self.limits, key=lambda use: use.part, default=None)
+        condition = "all limits are kept, with their reserves" + (
+            f"; the least room is that of {tight.name}, {percentage(max(tight.part, 0.0))}" if tight else "")
+        masses = (expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS)
+        return (Use(Purpose.DRIVING, "", Usable.YES, condition=condition), *masses)
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """Drive it, and identify."""
         return (NextStep(Action.DRIVE, "Go through sheet.html with the operator."),
                 NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
-                NextStep(Action.USE, "Then 'hydroopt identify MACHINE LOG --holdout 0.3 -o DIR'."))
+                NextStep(Action.USE, (
+                    f"Then 'hydroopt identify {self.problem.machine.source} LOG --holdout 0.3 -o DIR'.")))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
@@ -216,12 +237,12 @@ class Excitation(Answer):
         problem = self.problem
         moving = [joint for joint in problem.machine.joints if joint not in problem.resting]
         tight = sorted((use for use in self.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
-        scalings = ", ".join(f"{name.replace('_', ' ')} {x:.3g}" for name, x in self.condition_numbers.items())
         return (f"{self.machine_name}: {problem.basis.duration:g} s of {', '.join(moving)} at {problem.rate:g} Hz, "
-                f"{problem.information.criterion} = {self.value:.4g}, {self.best_random.value:.4g} by the best of "
-                f"{self.random_motions} random motions, whose {self.compared} {self.gain:.3g} times as large\n"
-                f"  condition number of {self.excited} of {len(self.names)} base parameters: {scalings}\n"
-                f"  least room: {', '.join(f'{use.name} {100 * use.part:.1f} %' for use in tight)}")
+                f"optimal by criterion {problem.information.criterion}\n"
+                f"  It excites {self.excited} of {len(self.names)} base parameters; condition number of their "
+                f"regressor {self.condition_numbers['unit_columns']:.2g}, in columns of unit length.\n"
+                f"  Nearest to their limits: {', '.join(f'{use.name} ({100 * use.part:.1f} % left)' for use in tight)}."
+                )
 
     @cached_property
     def tip(self) -> Array:
@@ -313,7 +334,7 @@ class Excitation(Answer):
 
     @cached_property
     def excited(self) -> int:
-        """Number of base parameters of which the motion tells anything."""
+        """Number of base parameters that the motion excites."""
         return len(_sizes(self._regressors["unit_columns"]))
 
     @cached_property
@@ -333,8 +354,7 @@ class Excitation(Answer):
     @property
     def compared(self) -> str:
         """What `gain` is a ratio of."""
-        return {"condition": "condition number is", "E": "largest standard deviation is"}.get(
-            self.problem.information.criterion, "standard deviations are on average")
+        return COMPARED.get(self.problem.information.criterion, "standard deviations")
 
     @property
     def gain(self) -> float:

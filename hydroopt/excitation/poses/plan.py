@@ -112,7 +112,7 @@ class PosePlan(Answer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """Measure, and calibrate."""
         return (NextStep(Action.MEASURE, "Measure the poses of sheet.txt and fill their readings in poses.csv."),
-                NextStep(Action.USE, "Then 'hydroopt calibrate MACHINE poses.csv -o DIR'."))
+                NextStep(Action.USE, f"Then 'hydroopt calibrate {self.machine.source} poses.csv -o DIR'."))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

@@ -107,7 +107,7 @@ def dress_of(lines: Sequence[str], layout: LogMap, where: str) -> Dress:
     """The dress of a table of these lines, as far as its map does not state it.
 
     Raises:
-        LogError: whether a mark stands for decimals or thousands cannot be told.
+        LogError: whether a mark stands for decimals or thousands is ambiguous.
     """
     notes = []
     delimiter = layout.delimiter or _likely(lines, layout)

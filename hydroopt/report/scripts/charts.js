@@ -76,6 +76,12 @@ function keys(figure, lines) {
   return values;
 }
 
+// A clock that counts poses has ticks at whole numbers.
+function timeAxes(across) {
+  const [x, y] = axes(across), whole = samples.clock.startsWith("pose");
+  return [whole ? { ...x, incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000, 10000] } : x, y];
+}
+
 function timeChart(figure, chart) {
   const values = keys(figure, chart.lines);
   const series = chart.lines.map((line) => ({
@@ -83,12 +89,13 @@ function timeChart(figure, chart) {
     paths: line.dots ? () => null : undefined, spanGaps: false,
     points: { show: Boolean(line.dots), size: 4, width: 0, fill: () => look.colour(line.look) } }));
   const y = chart.logarithmic ? { distr: 3 } : chart.span ? { range: chart.span } : {};
+  const zero = chart.lines.map((line) => 1e-6 * column(line.column).reduce((most, v) => Math.max(most, Math.abs(v) || 0), 0));
   const marker = element("div", { class: "now" });
   const edges = chart.shaded.flatMap(([, low, high]) => [low, high]);
   const plot = drawn(figure, {
     series: [{}, ...series, ...edges.map(() => HIDDEN)], bands: between(series.length + 1, chart.shaded.map(([name]) => name)),
     scales: { x: { time: false }, y },
-    axes: axes(figure.hasAttribute("data-last") ? samples.clock : ""),
+    axes: timeAxes(figure.hasAttribute("data-last") ? samples.clock : ""),
     cursor: { drag: { x: true, y: false, setScale: true } },
     hooks: {
       setScale: [zoomed, () => move()],
@@ -110,7 +117,10 @@ function timeChart(figure, chart) {
   };
   clock.listen(() => {
     move();
-    chart.lines.forEach((line, k) => { values[k].textContent = number(column(line.column)[clock.nearest]); });
+    chart.lines.forEach((line, k) => {
+      const value = column(line.column)[clock.nearest];
+      values[k].textContent = number(Math.abs(value) < zero[k] ? 0 : value);
+    });
   });
   const hover = (event) => clock.setTime(plot.posToVal(event.clientX - plot.over.getBoundingClientRect().left, "x"));
   plot.over.addEventListener("pointermove", (event) => { if (!event.buttons || event.pointerType !== "mouse") hover(event); });
@@ -131,7 +141,7 @@ function field(figure, chart, x, y, across, up, draw, aspect) {
   const spanX = extent(x), spanY = extent(y);
   return drawn(figure, {
     series: [{}, { paths: () => null, points: { show: false } }], axes: axes(across, up),
-    scales: { x: { time: false, range: spanX }, y: { range: spanY } }, hooks: { drawClear: [draw] },
+    scales: { x: { time: false, range: spanX }, y: { range: spanY } }, hooks: { draw: [draw] },
   }, [spanX, spanY], aspect);
 }
 
@@ -237,7 +247,7 @@ function plane(figure, chart) {
   drawn(figure, {
     series: [{}, { paths: () => null, points: { show: false } }], axes: axes(chart.across, chart.up),
     scales: { x: { time: false, range: [left, right] }, y: { range: [low, high] } },
-    hooks: { drawClear: [(u) => {
+    hooks: { draw: [(u) => {
       const { ctx } = u, place = (x, y) => [u.valToPos(x, "x", true), u.valToPos(y, "y", true)];
       ctx.save();
       ctx.beginPath(); ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); ctx.clip();

@@ -16,7 +16,7 @@ function column(name) {
 
 const number = (x) => !Number.isFinite(x) ? "—"
   : (Math.abs(x) >= 1e5 || (x !== 0 && Math.abs(x) < 1e-3) ? x.toExponential(2) : String(+x.toPrecision(4)))
-    .replace("-", "−");
+    .replaceAll("-", "−");
 
 function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);

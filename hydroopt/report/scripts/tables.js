@@ -15,7 +15,7 @@ function compared(a, b) {
   return typeof a === "number" ? -1 : 1;
 }
 
-for (const table of document.querySelectorAll("main table")) {
+for (const table of document.querySelectorAll("main table:not([data-fixed])")) {
   const heading = table.tHead && table.tHead.rows[table.tHead.rows.length - 1], body = table.tBodies[0];
   if (!heading || !body) continue;
   const order = [...body.rows], rows = order.filter((row) => !row.classList.contains("owner") && !row.classList.contains("total"));

@@ -130,7 +130,7 @@ def test_joints_that_nothing_tells_are_refused_by_name_and_row() -> None:
     calibration_problem(model.machine, replace(poses, channels={**poses.channels, "stick_cylinder.length": lost}))
     few = {**poses.channels, "stick_cylinder.length": lost, "tip.y": lost, "tip.z": lost}
     with pytest.raises(ProblemError, match=r"data row 5: the joint 'swing' is neither sensed.*record 'swing.q' or a "
-                                           r"length that tells it"):
+                                           r"length that determines it"):
         calibration_problem(model.machine, replace(poses, channels=few))
 
 

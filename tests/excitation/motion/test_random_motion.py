@@ -92,7 +92,7 @@ def test_the_gain_is_a_ratio_of_standard_deviations(criterion: str, monkeypatch:
     assert set(said["condition_numbers"]) == set(said["best_random"]["condition_numbers"]) == {
         "raw", "unit_columns", "scaled"}
     assert "best of 2 random motions" in (tmp_path / "report.html").read_text()
-    assert f"best of 2 random motions, whose {motion.compared}" in str(motion)
+    assert f"best of 2 random motions has {motion.gain:.2g} times the {motion.compared}" in motion.verdict.card()
     assert bool(of_kind(motion.diagnostics, Kind.RANDOM_TELLS_MORE)) == (motion.gain < 1)
     assert not of_kind(motion.best_random.diagnostics, Kind.RANDOM_TELLS_MORE)
     timid = Excitation(problem, problem.posture(problem.mean) + 0.3 * (x - problem.posture(problem.mean)), seed=1)
