@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import typer
@@ -9,6 +10,8 @@ import typer
 from extension.text import cell
 from hydroopt.cli import app
 
+OPTION = re.compile(r"(?<![\w`-])--?[a-z][\w-]*(?=[\s,;.)]|$)")
+"""An option within a sentence, which is no dash."""
 HEAD = """# Commands
 
 One job a command. `hydroopt COMMAND --help` says the same. MACHINE is a bundled name, a `.toml`, `.urdf` or `.xml`
@@ -52,7 +55,8 @@ def _section(name: str, context: Any) -> str:
     if example:
         lines += ["For example:", "", "```sh", " ".join(example.split()), "```", ""]
     records = [(parameter, parameter.get_help_record(context)) for parameter in command.params]
-    rows = [f"| `{record[0].strip()}` | {cell(record[1])} |".replace("MACHINE|DIR", "MACHINE\\|DIR")
+    said = [(record[0].strip().replace("|", "\\|"), cell(OPTION.sub(r"`\g<0>`", record[1])))
             for _, record in records if record]
+    rows = [f"| `{argument}` | {meaning} |" for argument, meaning in said]
     lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
     return "\n".join(lines)

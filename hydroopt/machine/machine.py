@@ -5,11 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import shlex
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Self
 
 from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
@@ -415,11 +413,6 @@ class Machine(Drawn, MachineDescription):
     def source(self) -> str:
         """What names it on a command line: a bundled machine or a path, and ``MACHINE`` if it was made in memory."""
         return "MACHINE"
-
-    def loaded_from(self, source: str | Path) -> Self:
-        """Itself, with the `source` that it was read from; two machines may be equal and have different ones."""
-        self.__dict__["source"] = shlex.quote(str(source))
-        return self
 
     @property
     def sha256(self) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -80,21 +81,27 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
         from hydroopt.machine.robot_formats.reading import read_robot  # noqa: PLC0415 (most machines need no XML)
 
         found = read_robot(path, tip=tip)
-        return build_machine(_merged(found.tables, found.rest), name).loaded_from(name)
+        return _loaded(build_machine(_merged(found.tables, found.rest), name), name)
     if tip is not None:
         raise MachineError(f"only of a robot file the chain to a tip such as '{tip}' can be read", where=name,
                            remedy="leave it out")
     if file := bundled_files().get(name):
-        return read_machine(file.read_text("utf-8"), where=name, parameter_set=parameter_set).loaded_from(name)
+        return _loaded(read_machine(file.read_text("utf-8"), where=name, parameter_set=parameter_set), name)
     if os.path.isdir(path) and len(machines := sorted(path.glob("*.toml"))) == 1:  # what a command wrote
-        return load_machine(machines[0], parameter_set=parameter_set).loaded_from(name)
+        return _loaded(load_machine(machines[0], parameter_set=parameter_set), name)
     if path.suffix != ".toml":
         close = get_close_matches(name, bundled(), 2)
         raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
                            where=name, remedy=f"did you mean {' or '.join(close)}" if close else
                            "name a .toml file, or one of the machines that 'hydroopt models' lists")
     text = read_text(path, MachineError, noun="machine file")
-    return read_machine(text, where=name, parameter_set=parameter_set).loaded_from(name)
+    return _loaded(read_machine(text, where=name, parameter_set=parameter_set), name)
+
+
+def _loaded(machine: Machine, source: str) -> Machine:
+    """The machine with its `source`, which is not part of its description: equal machines may have different ones."""
+    machine.__dict__["source"] = shlex.quote(source)
+    return machine
 
 
 def read_machine(text: str, *, where: str = "machine", parameter_set: str | None = None) -> Machine:

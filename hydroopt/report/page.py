@@ -50,7 +50,7 @@ def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_safe,
         loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
-    environment.filters["prose"] = _prose
+    environment.filters["prose"] = prose
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
     return environment
 
@@ -84,11 +84,16 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
         scripts=[Markup(text) for text in scripts], **content)
 
 
-def _prose(text: str) -> Markup:
+def prose(text: str) -> Markup:
     """A sentence with its commands and options as code, in which a number and its unit stay on one line."""
     together = re.sub(r"(\d) (?=[^\W\d]|%|\()", "\\1\N{NO-BREAK SPACE}", text)
-    return Markup("").join(Markup("<code>{}</code>").format(part.strip("'`")) if k % 2 else part
+    return Markup("").join(_code(part.strip("'`")) if k % 2 else part
                            for k, part in enumerate(CODE.split(_safe(together))))
+
+
+def _code(text: str) -> Markup:
+    """A command, which may be broken at its spaces, or an option, which stays on one line."""
+    return Markup("<code{}>{}</code>").format(Markup(' class="nowrap"') if " " not in text else "", text)
 
 
 def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:

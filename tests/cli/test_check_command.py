@@ -30,7 +30,7 @@ def test_a_good_log_is_usable_and_the_next_step_is_named(log: Path, tmp_path: Pa
     text = run("check", "patu655_lift", str(log), "-o", str(tmp_path / "out"))
     assert text.splitlines()[0].endswith(": ok")
     assert "usable      identification from these logs" in text
-    assert "hydroopt identify MACHINE" in text
+    assert "hydroopt identify patu655_lift" in text
     saved = hydroopt.load(tmp_path / "out")
     assert saved.job == "check of logs"
     assert saved.parameters["lift_cylinder.f_coulomb"].std is not None

@@ -122,7 +122,10 @@ def test_a_length_may_be_in_any_unit_but_needs_one() -> None:
     question = Question("boom.length", "From pin to pin?", "m", 5.0, most=60)
     assert question.read("5200 mm") == question.read("5.2 m") == 5.2
     assert question.read("") == 5.0
-    for text, reason in (("5200", "no unit"), ("5 kg", "unit"), ("900 m", "outside"), ("long", "unit")):
+    assert question.read("5,2 m") == question.read("5,20 m") == 5.2
+    assert question.read("0,125 m") == 0.125
+    for text, reason in (("5200", "no unit"), ("5,200 mm", "write a point"), ("5,200,000 mm", "unit"),
+                         ("5 kg", "unit"), ("900 m", "outside"), ("long", "unit")):
         with pytest.raises(AnswerError, match=reason):
             question.read(text)
 

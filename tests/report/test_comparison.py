@@ -21,6 +21,7 @@ from hydroopt.estimation.dynamic.experiment import experiment
 from hydroopt.estimation.dynamic.payload import payload
 from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.model.model import Model
+from hydroopt.report.page import prose
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.status import Status
@@ -72,7 +73,7 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
         assert float(row["value"]) == one["value"]
         assert [float(row["low"]), float(row["high"])] == one["ci95"]
         assert one["finding"] in printed
-        assert one["finding"] in (tmp_path / "report.html").read_text()
+        assert str(prose(one["finding"])) in (tmp_path / "report.html").read_text()
     page = (tmp_path / "report.html").read_text()
     assert stands_alone(page)
     assert 'class="interval' in page
@@ -94,7 +95,7 @@ def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path) -
     for one in content["histories"]:
         assert len(one["sessions"]) == 3
         assert one["finding"] in printed
-        assert one["finding"] in page
+        assert str(prose(one["finding"])) in page
     with (out / "sessions.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [(row["session"], row["name"]) for row in rows] == [

@@ -27,6 +27,7 @@ CORNER = """() => Array.from(
 WIDER_THAN = """(width) => Array.from(document.querySelectorAll("main *")).filter((each) =>
     each.getBoundingClientRect().right > width + 1).map((each) => each.outerHTML.slice(0, 150)).slice(0, 3)"""
 CRANE = str(Path(__file__).parents[2] / "studies/actuator_coverage/crane.toml")
+SURVEYED = str(Path(__file__).parents[2] / "docs/how-to/measure_up.toml")
 LIFT, LOADER, IMUS = "patu655_lift", "wheel_loader", "excavator_imu"
 
 
@@ -81,6 +82,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
                 return [job, LIFT, "--motion", root / "path.csv", "--seed", "3"]
             case "study":
                 return [job, "montecarlo", LIFT, "--cells", "4", "--duration", "8"]
+            case "measure-up":
+                return [job, SURVEYED, "--tip-std", "10 mm"]
             case "show hydraulics":
                 return ["show", LIFT, "--hydraulics"]
         return [job, "backhoe"]
@@ -93,7 +96,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         return folder
 
     def page(job: str) -> Path:
-        return next(root_of(job).glob("*.html"))
+        if job == "operator's sheet":
+            return root_of("excite") / "sheet.html"
+        folder = root_of(job)
+        return folder / "report.html" if (folder / "report.html").is_file() else next(folder.glob("*.html"))
 
     return page
 
@@ -105,7 +111,8 @@ def using() -> Iterator[Any]:
 
 
 JOBS = ("identify", "identify-valves", "identify-payload", "weigh", "compare", "compare several", "plan-poses",
-        "calibrate", "calibrate-sensors", "excite", "control", "study", "show", "show hydraulics", "view")
+        "measure-up", "calibrate", "calibrate-sensors", "excite", "operator's sheet", "control", "study", "show",
+        "show hydraulics", "view")
 
 
 @pytest.mark.parametrize("job", JOBS)

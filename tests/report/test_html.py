@@ -16,6 +16,7 @@ from hydroopt.model.model import Model
 from hydroopt.report import page as page_module
 from hydroopt.report.findings import findings
 from hydroopt.report.identification import render
+from hydroopt.report.page import prose
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.summary import OF_MACHINE
 from hydroopt.results.wording import Kind
@@ -94,7 +95,7 @@ def test_has_every_parameter_and_diagnostic(page: str, estimate: Estimate) -> No
     text = set(Reader(page).text)
     assert set(estimate.problem.parameters.names) <= text
     shown = findings(estimate.diagnostics)
-    assert set(shown.data) | set(shown.machine) <= text
+    assert all(str(prose(sentence)) in page for sentence in (*shown.data, *shown.machine))
     assert {names for names, _, _ in shown.groups} <= text
     assert len(shown.data) + len(shown.machine) + len(shown.groups) == len(estimate.diagnostics)
     assert page.index("<h2>Machine and motion</h2>") < page.index("<h2>Fit</h2>")

@@ -15,9 +15,29 @@ function compared(a, b) {
   return typeof a === "number" ? -1 : 1;
 }
 
+// Rows of numbers that the data do not determine can be left out; paper shows them all.
+const FEW = 6;
+function fewer(table, body) {
+  const rows = [...body.rows], owners = rows.filter((row) => row.classList.contains("owner"));
+  const idle = rows.filter((row) => [...row.querySelectorAll(".chip")].some((chip) => chip.textContent === "none"));
+  if (idle.length < FEW || idle.length + owners.length === rows.length) return;
+  for (const row of idle) row.classList.add("idle");
+  owners.forEach((owner) => {
+    let next = owner.nextElementSibling, used = false;
+    for (; next && !next.classList.contains("owner"); next = next.nextElementSibling) used ||= !next.classList.contains("idle");
+    owner.classList.toggle("idle", !used);
+  });
+  const box = element("input", { type: "checkbox" });
+  const show = () => table.classList.toggle("fewer", !box.checked);
+  box.addEventListener("change", show);
+  show();
+  (table.closest(".scroll") || table).before(element("label", { class: "small all" }, box, `show ${idle.length} more that the data do not identify`));
+}
+
 for (const table of document.querySelectorAll("main table:not([data-fixed])")) {
   const heading = table.tHead && table.tHead.rows[table.tHead.rows.length - 1], body = table.tBodies[0];
   if (!heading || !body) continue;
+  fewer(table, body);
   const order = [...body.rows], rows = order.filter((row) => !row.classList.contains("owner") && !row.classList.contains("total"));
   if (rows.length < 3) continue;
   [...heading.cells].forEach((cell, k) => {

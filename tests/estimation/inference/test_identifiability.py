@@ -152,3 +152,17 @@ def test_swing_of_the_excavator_shows_only_its_inertia_about_the_vertical() -> N
         assert category[name] == FULL
     assert structural(model, seed=9).category == found.category
     assert structural(model, seed=9).basis == found.basis
+
+
+def test_a_column_that_is_nearly_a_combination_of_others_is_left_out_and_not_the_last_one() -> None:
+    """Near the tolerance more columns stand apart than the rank counts: base parameters keep weights of their size."""
+    rng = np.random.default_rng(3)
+    K = rng.standard_normal((200, 6))
+    K[:, 3] = K[:, 0] + K[:, 1] + 2e-6 * rng.standard_normal(200)
+    distances = np.linalg.svd(K / np.linalg.norm(K, axis=0), compute_uv=False)
+    tolerance = 1.01 * distances[-1] / distances[0]  # the rank is 5, though column 3 is farther off than that
+    found = analyse(K, NAMES[:6], tolerance=tolerance)
+    assert found.rank == 5
+    assert found.basis == (0, 1, 2, 4, 5)
+    np.testing.assert_allclose(found.grouping[:, 3], [1, 1, 0, 0, 0], atol=1e-5)
+    assert found.category[2] == found.category[5] == FULL
