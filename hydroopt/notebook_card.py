@@ -82,11 +82,23 @@ class Drawn(Shown):
         return import_module("hydroopt.viewing").view(self)
 
 
+def figure(value: float, digits: int = 4) -> str:
+    """A number in a card to some significant digits, with thousands apart.
+
+    >>> figure(4515600.0, 3), figure(-0.0234891)
+    ('4\u202f520\u202f000', '-0.02349')
+    """
+    return f"{float(f'{value:.{digits}g}'):,.15g}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
 def _text(text: str) -> str:
-    return escape(visible(text, keep="\n"))
+    return escape(visible(text, keep="\n\N{NARROW NO-BREAK SPACE}"))
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table without columns that are empty in all its rows."""
+    kept = [k for k in range(len(rows[0])) if any(row[k] for row in rows)]
+    columns, rows = [columns[k] for k in kept if columns], [[row[k] for k in kept] for row in rows]
     head = "".join(f'<th scope="col" style="{_CELL}">{_text(name)}</th>' for name in columns)
     body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>"
                    for row in rows)

@@ -27,6 +27,15 @@ class UnitError(HydrooptError):
     """A quantity has no unit, an unknown unit or a unit of the wrong kind."""
 
 
+def in_print(unit: str) -> str:
+    """A unit as print has it.
+
+    >>> in_print("kg*m^2")
+    'kg·m²'
+    """
+    return unit.replace("*", "·").replace("^2", "²").replace("^3", "³")
+
+
 @cache
 def factor(unit: str, si: str, *, where: str = "unit") -> float:
     """Factor from `unit` to the SI unit `si`, e.g. ``factor("psi", "Pa") == 6894.757...``.

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.notebook_card import CardTable
-from hydroopt.units import UnitError, factor
+from hydroopt.notebook_card import CardTable, figure
+from hydroopt.units import UnitError, factor, in_print
 
 FORCES = frozenset({"force", "tau", "p_head", "p_rod", "p_a", "p_b"})
 """Ends of the names of channels that tell an actuator's force."""
@@ -66,6 +66,6 @@ def channel_table(channels: Mapping[str, NDArray[np.float64]], units: Mapping[st
     rows = []
     for name, values in channels.items():
         read = values[np.isfinite(values)]
-        span = (f"{read.min():.5g}", f"{read.max():.5g}") if read.size else ("", "")
-        rows.append((name, units[name], *span, str(values.size - read.size or "")))
+        span = (figure(float(read.min())), figure(float(read.max()))) if read.size else ("", "")
+        rows.append((name, in_print(units[name]), *span, str(values.size - read.size or "")))
     return CardTable(("channel", "unit", "smallest", "largest", "missing"), rows, noun="channels")

@@ -11,8 +11,9 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import similar
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
-from hydroopt.notebook_card import Card, CardTable, Shown
+from hydroopt.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.spatial.inertia import Array
+from hydroopt.units import in_print
 
 __all__ = ["GROUPS", "ParameterKind", "ParameterSet"]
 
@@ -121,7 +122,7 @@ def parameter_table(parameters: ParameterSet) -> CardTable:
     """Names with nominal values, standard deviations of the priors and bounds, for a notebook."""
     cells = zip(parameters.names, parameters.nominal, parameters.prior_std, parameters.units, parameters.lower,
                 parameters.upper, strict=True)
-    rows = [(name, f"{nominal:.6g}", "" if np.isnan(std) else f"{std:.3g}", unit,
-             "" if np.isinf(low) else f"{low:.6g}", "" if np.isinf(high) else f"{high:.6g}")
+    rows = [(name, figure(nominal, 6), "" if np.isnan(std) else figure(std, 3), in_print(unit),
+             "" if np.isinf(low) else figure(low, 6), "" if np.isinf(high) else figure(high, 6))
             for name, nominal, std, unit, low, high in cells]
     return CardTable(("parameter", "nominal", "prior ±", "unit", "lower bound", "upper bound"), rows, noun="parameters")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.results.diagnostic import LEAST_P
+from hydroopt.units import in_print
 
 NONE = "—"
 """What stands where there is no number."""
@@ -29,7 +30,7 @@ class Row(NamedTuple):
 
 def unit_text(unit: str) -> str:
     """A unit in print: ``kg*m^2`` as kg·m²."""
-    return {"sigma": "σ", "1": NONE}.get(unit, unit.replace("*", "·").replace("^2", "²").replace("^3", "³"))
+    return {"sigma": "σ", "1": NONE}.get(unit, in_print(unit))
 
 
 def plain(value: float, digits: int = 4) -> str:

@@ -16,6 +16,7 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Use, Verdict
@@ -166,14 +167,15 @@ class Answer(Drawn, ABC):
         return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
 
     def card(self) -> Card:
-        """What a notebook shows: the fit, the parameters, findings and diagnostics."""
-        facts = {each.text: "" for each in self.findings}
-        fits = [(data, channel, f"{fit.rms:.4g} {fit.unit}", _percent(fit.vaf).strip())
+        """What a notebook shows: the verdict, the fit, the parameters, findings and diagnostics."""
+        found = " ".join(each.text for each in self.findings)
+        facts = self.verdict.facts | ({"found": found} if found else {})
+        fits = [(data, channel, readable(fit.rms, fit.unit, 3), _percent(fit.vaf).strip())
                 for data, table in self.fit.items() for channel, fit in table.items()]
-        found = [(str(each.kind), each.text) for each in self.diagnostics]
-        return Card(repr(self), facts, [table for table in (
+        diagnostics = [(str(each.kind), each.text) for each in self.diagnostics]
+        return Card(f"{self.verdict.title}: {self.status}", facts, [table for table in (
             CardTable(("data", "channel", "RMS error", "VAF"), fits, noun="channels"), *self.parameters.card_tables(),
-            CardTable(("diagnostic", ""), found, shown=3, noun="diagnostics")) if table.rows])
+            CardTable(("diagnostic", ""), diagnostics, shown=3, noun="diagnostics")) if table.rows])
 
     def to_frame(self) -> pd.DataFrame:
         """The table of parameters as a pandas DataFrame indexed by name."""

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from hydroopt.errors import ProblemError
 from hydroopt.extras import needed
 from hydroopt.input_file import similar
-from hydroopt.notebook_card import Card, CardTable, Shown
+from hydroopt.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.units import in_print
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -190,9 +191,9 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
     def card_tables(self) -> list[CardTable]:
         """The estimated parameters, and folded away those that are not, for a notebook."""
         known = [each for each in self.rows if each.value is not None]
-        rows = [(each.name, *each.shown[:2], each.unit, " … ".join(each.shown[2:]) if each.ci95 else "",
-                 "" if each.nominal is None else f"{each.nominal:.6g}", each.bound or "") for each in known]
-        others = [(each.name, "" if each.nominal is None else f"{each.nominal:.6g}", each.unit,
+        rows = [(each.name, *each.shown[:2], in_print(each.unit), " … ".join(each.shown[2:]) if each.ci95 else "",
+                 "" if each.nominal is None else figure(each.nominal, 6), each.bound or "") for each in known]
+        others = [(each.name, "" if each.nominal is None else figure(each.nominal, 6), in_print(each.unit),
                    CATEGORIES.get(each.identifiability, each.identifiability))
                   for each in self.rows if each.value is None]
         return [table for table in (

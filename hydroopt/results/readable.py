@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from hydroopt.units import in_print
+
 _SCALES = {"N": ((1e3, 1e3, "kN"), (0, 1, "N")), "N*m": ((1e3, 1e3, "kN·m"), (0, 1, "N·m")),
            "m": ((1, 1, "m"), (1e-3, 1e-3, "mm"), (0, 1e-6, "µm")), "rad": ((0, math.pi / 180, "deg"),),
            "rad/s": ((0, math.pi / 180, "deg/s"),), "rad/s^2": ((0, math.pi / 180, "deg/s²"),),
@@ -20,7 +22,7 @@ def readable(value: float, unit: str, digits: int = 2) -> str:
     """
     if not math.isfinite(value):
         return "unknown"
-    scales = _SCALES.get(unit, ((0, 1, unit.replace("*", "·").replace("^2", "²").replace("^3", "³")),))
+    scales = _SCALES.get(unit, ((0, 1, in_print(unit)),))
     _, factor, printed = next(scale for scale in scales if abs(value) >= scale[0])
     scaled = value / factor
     decimals = digits - 1 - math.floor(math.log10(abs(scaled))) if scaled else 0

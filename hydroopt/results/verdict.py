@@ -248,6 +248,16 @@ class Verdict:
             lines += _wrapped(step.text, "next")
         return lines
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """Cause, what it is usable for, what not, and the next step: texts by their headings, for a notebook."""
+        said = {str(self.status): self.cause} if self.cause else {}
+        for usable in Usable:
+            texts = [f"{purpose}: {_folded(some, 3)}" for purpose in Purpose if (
+                some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)])]
+            said |= {str(usable): ". ".join(texts)} if texts else {}
+        return said | ({"next": self.next_steps[0].text} if self.next_steps else {})
+
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file; `from_dict` reads it."""
         return {"title": self.title, "status": str(self.status), "cause": self.cause,

@@ -372,7 +372,7 @@ WORDS: dict[Kind, Words] = {
         "The residuals of {subject} oscillate at {hz:.3g} Hz with an amplitude of {amplitude:.3g} {unit}.",
         "Look for pulsation of the pump or a vibration of the machine."),
     Kind.DETECTABLE_FAULTS: Words(
-        "These logs would have shown, with a probability of 95 %: {sizes}."),
+        "Faults of these sizes would have shown with a probability of 95 %: {sizes}."),
     Kind.FREED_FAULT: Words("Freed: {cause}, by {size:.3g} ± {std:.2g} {unit}."),
     Kind.SPLIT_HALF: Words(
         "Friction and offsets in the two halves of {subject} differ by {phi:.1f} times what noise explains "

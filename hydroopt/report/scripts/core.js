@@ -119,7 +119,7 @@ for (const player of clock ? document.querySelectorAll("[data-player]") : []) {
   clock.listen((index) => {
     range.value = index;
     const span = samples.spans.find((s) => index >= s.first - 1 && index <= s.last + 1);
-    const name = span ? `, ${span.role}` : "";
+    const name = span && span.role ? `, ${span.role}` : "";
     shown.textContent = clock.steps ? `${Math.round(index) + 1} of ${clock.last + 1}${name}` : `${clock.time().toFixed(2)} s${name}`;
     range.setAttribute("aria-valuetext", shown.textContent);
   });
