@@ -297,6 +297,13 @@ def test_damaged_files_end_in_a_sentence(tmp_path, kind):
     assert all(path.name in sentence and "\n" not in sentence for sentence in sentences)
 
 
+@pytest.mark.parametrize(("cells", "first"), [(("0,125", "1,5"), 1.5), (("0,125", "1,250"), 1.25)])
+def test_numbers_typed_as_text_with_a_decimal_comma_are_read(tmp_path, cells, first):
+    rows = [["t [s]", "boom.q [rad]"], *[[str(k), cells[k % 2 == 0]] for k in range(30)]]
+    path = workbook(tmp_path / "typed.xlsx", {"log": rows})
+    assert read_log(path).channels["boom.q"][:2].tolist() == [first, 0.125]
+
+
 def test_groups_of_a_file_are_merged(tmp_path):
     import h5py
 

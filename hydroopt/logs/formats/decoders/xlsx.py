@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
 
 import python_calamine as calamine
 
 from hydroopt.logs.formats.decoders.content import Content, UnreadableError
+
+COMMA = re.compile(r"([+-]?\d+),(\d+)")
+"""A number as text, with one comma."""
 
 
 def contents(path: Path) -> list[Content]:
@@ -22,11 +26,22 @@ def contents(path: Path) -> list[Content]:
         for name in book.sheet_names:
             rows = book.get_sheet_by_name(name).to_python(skip_empty_area=True)
             if rows:
-                lines = ("\t".join(map(_text, row)) for row in rows)
+                lines = ("\t".join(row) for row in _with_points([[_text(cell) for cell in row] for row in rows]))
                 found.append(Content(name, table="\n".join(lines).encode(), rows=len(rows)))
     except Exception as error:  # whatever the library raises, the file is at fault
         raise UnreadableError(str(error) or type(error).__name__) from None
     return found
+
+
+def _with_points(rows: list[list[str]]) -> list[list[str]]:
+    """The same cells, where numbers typed as text with a decimal comma have a point.
+
+    A comma before three digits may stand between thousands: it is one for decimals where others of the sheet are.
+    """
+    typed = [found for row in rows for cell in row if (found := COMMA.fullmatch(cell))]
+    if not any(len(found[2]) != 3 or not found[1].strip("+-0") for found in typed):
+        return rows
+    return [[cell.replace(",", ".") if COMMA.fullmatch(cell) else cell for cell in row] for row in rows]
 
 
 def _text(cell: object) -> str:
