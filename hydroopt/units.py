@@ -11,6 +11,7 @@ _ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade",
            "revolutions_per_minute", "revolutions_per_second"}
 _NO_DIMENSION = {"radian", "bit", "count"}
 _COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not
+_JOINED = re.compile(r"^((?>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?))([a-zA-Z°%µ])")  # a number and its unit
 _ABSURD = re.compile(r"\d{3}")  # no unit has such a power
 
 SMALLEST = 1e-60
@@ -64,8 +65,11 @@ def to_si(text: str, si: str, *, where: str) -> float:
 
     Raises:
         UnitError: no number, no unit (unless `si` is ``"1"``), or a unit of another kind.
+
+    >>> to_si("1000kg", "kg", where="load"), to_si("-.5 m", "m", where="pin")
+    (1000.0, -0.5)
     """
-    number, _, unit = text.strip().partition(" ")
+    number, _, unit = _JOINED.sub(r"\1 \2", text.strip()).partition(" ")
     try:
         value = float(number)
     except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,11 +54,13 @@ def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool
     """
     from hydroopt.results import json_file
     from hydroopt.results.summary import summary
+    from hydroopt.results.verdict import WIDTH
 
     if as_json:
         echo(json.dumps(json_file.read(directory), indent=1))
     elif not quiet:
-        echo(f"{answer.verdict.card()}\n")
+        width = shutil.get_terminal_size(fallback=(WIDTH, 24)).columns
+        echo(f"{answer.verdict.card(width)}\n")
         echo(text or str(answer))
         for heading, sentences in summary(answer.diagnostics).items():
             echo(f"{heading}:")

@@ -16,8 +16,8 @@ from hydroopt.results.tables import number
 
 NORMAL = 1.96
 """Half-width of a 95 % interval in standard deviations."""
-LINES, WIDTH = 12, 110
-"""Most lines of a card, and characters of a line."""
+LINES, WIDTH, NARROWEST = 12, 110, 60
+"""Most lines of a card, and most and least characters of a line."""
 
 
 class Purpose(StrEnum):
@@ -227,25 +227,27 @@ class Verdict:
         about = [use for use in self.uses if use.purpose is purpose and subject in (None, use.subject)]
         return bool(about) and all(use.usable is Usable.YES for use in about)
 
-    def card(self) -> str:
-        """The verdict as plain text of at most `LINES` lines, for a terminal."""
+    def card(self, width: int = WIDTH) -> str:
+        """The verdict as plain text for a terminal: of at most `LINES` lines, or as much text in narrower ones."""
+        width = max(NARROWEST, min(WIDTH, width))
+        limit = LINES * WIDTH // width
         for most in (6, 4, 3, 2, 1):
-            lines = self._lines(most)
-            if len(lines) <= LINES:
+            lines = self._lines(most, width)
+            if len(lines) <= limit:
                 break
-        return "\n".join(lines[:LINES])
+        return "\n".join(lines[:limit])
 
-    def _lines(self, most: int) -> list[str]:
+    def _lines(self, most: int, width: int) -> list[str]:
         """The card with so many subjects a purpose, and half as many next steps, at most."""
-        lines = _wrapped(f"{self.title}: {self.status}{f'. {self.cause}' if self.cause else ''}", "")
+        lines = _wrapped(f"{self.title}: {self.status}{f'. {self.cause}' if self.cause else ''}", "", width)
         if self.finding:
-            lines += _wrapped(self.finding, "found")
+            lines += _wrapped(self.finding, "found", width)
         for usable in Usable:
             for purpose in Purpose:
                 if some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)]:
-                    lines += _wrapped(f"{purpose}: {_folded(some, most)}", usable)
+                    lines += _wrapped(f"{purpose}: {_folded(some, most)}", usable, width)
         for step in self.next_steps[:max(1, most // 2)]:
-            lines += _wrapped(step.text, "next")
+            lines += _wrapped(step.text, "next", width)
         return lines
 
     @property
@@ -297,10 +299,10 @@ def _figures(uses: Sequence[Use], most: int) -> str:
     return f"{', '.join(filter(None, map(str, uses[:most])))}{more}"
 
 
-def _wrapped(text: str, label: str) -> list[str]:
+def _wrapped(text: str, label: str, width: int) -> list[str]:
     """A text after a label, with its further lines below it."""
     first = f"  {label:<11} " if label else ""
     whole = re.sub(r"(\d) (?=\S)", "\\1\N{NO-BREAK SPACE}", text)  # a number and its unit stay together
-    lines = textwrap.wrap(whole, WIDTH, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
+    lines = textwrap.wrap(whole, width, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
                           break_on_hyphens=False)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines] or [first.rstrip()]
