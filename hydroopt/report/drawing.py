@@ -26,7 +26,7 @@ WIDE, TALL = 860.0, 520.0
 """Largest width and height of the machine in a drawing [px]."""
 LEFT, BELOW, EDGE = 52, 40, 10
 """Room for the numbers of the axes, and around all [px]."""
-LETTER, LINE = 6.6, 13.0
+LETTER, LINE = 7.5, 13.0
 """Width of a letter and height of a line [px]."""
 OBLIQUE = np.array([0.42, -1.0, 0.34])
 """Whence the machine in space is seen, as the page's scripts see it first."""
