@@ -2,9 +2,13 @@
 const plots = [], timePlots = [];
 const DASH = [5, 4];
 
+// Of a logarithmic axis only powers of ten have lines.
+const decades = (u, splits, axis) => u.scales[u.axes[axis].scale].distr !== 3 ? splits
+  : splits.map((v) => Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-9 ? v : null);
+
 function axes(across, up = "") {
-  const one = { stroke: () => look.colour("soft"), grid: { stroke: () => look.colour("grid"), width: 1 },
-    ticks: { stroke: () => look.colour("grid"), width: 1, size: 4 }, font: "11px system-ui, sans-serif",
+  const one = { stroke: () => look.colour("soft"), grid: { stroke: () => look.colour("grid"), width: 1, filter: decades },
+    ticks: { stroke: () => look.colour("grid"), width: 1, size: 4, filter: decades }, font: "11px system-ui, sans-serif",
     labelFont: "11px system-ui, sans-serif", labelSize: 16, labelGap: 0,
     values: (u, splits) => splits.map((v) => v === null ? "" : number(v)) };
   return [{ ...one, label: across || undefined, size: 26 },
