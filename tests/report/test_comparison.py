@@ -80,7 +80,9 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.csv", "report.html"}
 
 
-def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path) -> None:
+def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     later = read_log(made / "b/log.csv")
     halves = later.split(0.5)
     for name, half in zip(("b", "c"), halves, strict=True):
