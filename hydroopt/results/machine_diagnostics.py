@@ -6,9 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hydroopt.machine.unmeasured_joints import unmeasured_joints
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.implausible_sizes import implausible_sizes
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 
@@ -25,7 +27,7 @@ def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
     >>> machine_diagnostics(ho.Model(ho.load_machine("cat215b")))
     ()
     """
-    return (*_impossible_bodies(model), *_idle_gravity(model))
+    return (*_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model), *implausible_sizes(model))
 
 
 def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
@@ -35,6 +37,13 @@ def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
                        if np.linalg.eigvalsh(matrix)[0] < -ROUNDED * max(float(np.trace(matrix)), 1e-9))
     if impossible:
         yield Diagnostic(Kind.IMPOSSIBLE_NOMINAL_BODIES, impossible)
+
+
+def _unmeasured(model: Model) -> Iterator[Diagnostic]:
+    for each in unmeasured_joints(model.machine):
+        yield Diagnostic(Kind.UNMEASURED_JOINT, (each.joint,), {
+            "unmeasured": " and ".join(each.unmeasured) + (" is" if len(each.unmeasured) == 1 else " are"),
+            "remedy": each.remedy})
 
 
 def _idle_gravity(model: Model) -> Iterator[Diagnostic]:

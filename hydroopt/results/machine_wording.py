@@ -15,4 +15,9 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "vertical, so that holding still takes no force and shows nothing of masses.",
         "If joints turn about level axes, state it: orientation = [\"90 deg\", \"0 deg\", \"0 deg\"] turns the base "
         "frame's y axis up."),
+    Kind.UNMEASURED_JOINT: Words(
+        "{unmeasured} not measured: the forces at {subject} are in no equation, neither predicted nor compared with "
+        "any log.",
+        "For {subject}, {remedy}."),
+    Kind.IMPLAUSIBLE_SIZE: Words("{subject} is {size}, but {usual}.", "{remedy}"),
 }

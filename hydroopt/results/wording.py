@@ -41,6 +41,8 @@ class Kind(StrEnum):
     PRESSURE_NOT_MEASURED = "pressure not measured in a log"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
     GRAVITY_IDLE = "gravity does no work"
+    UNMEASURED_JOINT = "forces at a joint not measured"
+    IMPLAUSIBLE_SIZE = "implausible size"
 
     # a log against its machine, before any fit
     LOG_MISREAD = "log misread"

@@ -9,14 +9,16 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
+from hydroopt.estimation.dynamic.capacity import LOADED, WORKING_PRESSURE, Capacity, capacity
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
-from hydroopt.machine.actuators import Drive
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.unmeasured_joints import UnmeasuredJoint, unmeasured_joints
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+from hydroopt.results.readable import readable
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
 from hydroopt.spatial.inertia import Array
 
@@ -28,8 +30,6 @@ SLOW = 0.1
 """Speed at which a load is weighed, as a part of the logs' RMS speed."""
 WEIGHED = 5.0
 """Seconds over which readings are averaged when a load is weighed."""
-WORKING_PRESSURE = 2e7
-"""Pressure [Pa] up to which an actuator works that states no relief pressure."""
 UPPER = 1.645
 """Standard deviations by which the squared error in a log of finite length is raised, so that it holds in 95 %."""
 RANGE = 4.0
@@ -102,6 +102,9 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
     logs = len(found.problem.validation)
     condition = (f"RMS without the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
+    for each in unmeasured_joints(found.problem.model.machine):
+        yield Use(Purpose.FORCES, each.joint, Usable.NO,
+                  reason=f"{' and '.join(each.unmeasured)} not measured, so that no log tells the force there")
     for k, balance in enumerate(found.problem.model.machine.balances):
         fit = (held_out or found.fit["train"]).get(balance.name)
         if fit is None or balance.name not in found.fit["train"]:
@@ -192,7 +195,7 @@ def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
     machine = model.machine
     driven = np.concatenate([data.plotted.motion.qd for data in found.problem.experiments])
     speeds = np.sqrt(np.mean(driven**2, axis=0))
-    q = random_states(model, POSTURES, rng)[0]
+    q = Hanging(model).postures(random_states(model, POSTURES, rng)[0])
     effect = load_effect(model, q)
     if spread is None or not np.any(effect):
         return
@@ -204,12 +207,30 @@ def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
     averaged = sigma**2 * np.minimum(1.0, np.maximum(found.correlation_time, 1.0) / (rate * WEIGHED))
     std = load_std(K, effect, spread, averaged)
     middle = np.argsort(std)[POSTURES // 2]
-    most = _held(machine, K[middle] @ found.psi, effect[middle], model.over(model.shares, q[middle : middle + 1])[0][0])
-    figure = NORMAL * float(std[middle])
-    yield judged(Purpose.WEIGHING, "", figure, "kg", figure / most if most else np.nan, condition=(
-        f"95 %, {WEIGHED:g} s of a slow lift in the median posture, sensors' scales exact"),
-        reason="" if most else "in the median posture the machine alone takes all that its actuators hold",
-        untested="" if np.isfinite(most) else "the machine file states no limit of its drives")
+    figure, place = NORMAL * float(std[middle]), q[middle : middle + 1]
+    condition = f"95 %, {WEIGHED:g} s of a slow lift in the median posture, sensors' scales exact"
+    make = partial(judged, Purpose.WEIGHING, "", figure, "kg")
+    if blind := _loaded(model, place):
+        yield make(np.nan, condition=condition, untested=(
+            f"no log tells the force at {' and '.join(each.joint for each in blind)}, which carries the load, too"))
+        return
+    most = capacity(machine, K[middle] @ found.psi, effect[middle], model.over(model.shares, place)[0][0],
+                    _reached(found))
+    if np.isnan(most.load):
+        yield make(np.nan, condition=condition, untested=f"{most.holder} states no max_torque")
+        return
+    none = "" if most.load else _of_capacity(most)
+    yield make(figure / most.load if most.load else np.nan, untested=none if most.missing else "", reason=none,
+               condition="; ".join([condition, _of_capacity(most)][:2 if most.load else 1]))
+
+
+def _loaded(model: Model, q: Array) -> tuple[UnmeasuredJoint, ...]:
+    """Joints without a balance at which a load at the tip acts in a posture q (1, n)."""
+    pull = np.asarray(gravity_in_base(model.machine), dtype=float).ravel()
+    at_joints = np.abs(pull @ model.over(model.tip_jacobian, q)[0][0][:3])
+    loaded = at_joints > LOADED * np.max(at_joints)
+    return tuple(each for each in unmeasured_joints(model.machine)
+                 if loaded[model.machine.joints.index(each.joint)])
 
 
 def load_effect(model: Model, q: Array) -> Array:
@@ -237,23 +258,22 @@ def load_std(K: Array, effect: Array, spread: Array, averaged: Array) -> Array:
         return np.asarray(1 / np.sqrt(np.sum(weighed * effect[:, driven], axis=1)))
 
 
-def _held(machine: Machine, force: Array, effect: Array, shares: Array) -> float:
-    """The load [kg] that the actuators hold beside the machine itself; NaN where a drive states no limit.
+def _reached(found: Identification) -> dict[str, float]:
+    """Highest pressure [Pa] of each hydraulic actuator in the logs."""
+    logs = [data.plotted.log for data in found.problem.experiments]
+    return {each.name: max((float(np.max(np.nan_to_num(log.channels[chamber]))) for log in logs
+                            for chamber in each.chambers if chamber in log.channels), default=0.0)
+            for each in found.problem.model.machine.hydraulic_actuators}
 
-    Args:
-        machine: with relief pressures and torques.
-        force: (r,) that holds the machine itself; `effect` (r,) of a load per its mass.
-        shares: (r, a) of the actuators in the balances.
-    """
-    most = []
-    for actuator in machine.actuators:
-        if isinstance(actuator, Drive):
-            most.append(np.nan if actuator.max_torque is None else actuator.max_torque)
-        else:
-            most.append(min(actuator.areas) * (actuator.relief_pressure or WORKING_PRESSURE))
-    limits = np.abs(shares) @ np.array(most)
-    loaded = np.abs(effect) > 1e-6 * np.max(np.abs(effect))
-    return float(np.min(np.maximum(limits[loaded] - np.abs(force[loaded]), 0.0) / np.abs(effect[loaded])))
+
+def _of_capacity(most: Capacity) -> str:
+    """The capacity that a load is compared with, in words."""
+    held = f"the machine holds {readable(most.load, 'kg')} there, limited by {most.holder}"
+    if most.pressure is None:
+        return held
+    source = "logged" if most.pressure > WORKING_PRESSURE else "assumed"
+    state = f" ({source}: state {most.owner} relief_pressure)" if most.missing else ""
+    return f"{held} at {most.pressure / 1e5:.0f} bar{state}"
 
 
 def _control(found: Identification, forces: tuple[Use, ...]) -> Iterator[Use]:
@@ -281,7 +301,10 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     if "validation" not in found.fit:
         steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
     told = found.fit["train"]
-    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject not in told]:
+    steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
+              for each in unmeasured_joints(found.problem.model.machine)]
+    balances = {each.name for each in found.problem.model.machine.balances}
+    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*told}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
     if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in told]:
         steps.append(NextStep(Action.CHECK, (
