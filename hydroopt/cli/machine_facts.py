@@ -16,6 +16,7 @@ from hydroopt.machine.cylinder_checks import Span, over_range, spans
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.other_ways import other_ways
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -42,7 +43,7 @@ def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[st
     return {"machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256,
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
-             "linkages": [_linkage_facts(machine, each) for each in loop_ranges(machine)],
+             "linkages": _linkages(machine),
              "spans": [_span_facts(each) for each in spans(machine)],
              "couplings": [_coupling_facts(machine, each) for each in machine.couplings],
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
@@ -87,6 +88,12 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
         drivers = f"{together} together"
     return {"joint": name, "type": joint.type, "actuator": drivers, "unit": unit,
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
+
+
+def _linkages(machine: Machine) -> list[dict[str, Any]]:
+    ways = {each.loop: str(each) for each in other_ways(machine)}
+    return [facts | {"assembly": ways.get(facts["linkage"], "")}
+            for facts in (_linkage_facts(machine, each) for each in loop_ranges(machine))]
 
 
 def _linkage_facts(machine: Machine, loop: LoopRange) -> dict[str, Any]:

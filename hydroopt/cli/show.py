@@ -100,6 +100,7 @@ def _lines(facts: dict[str, Any], *, everything: bool) -> list[str]:
     relations += [f"{each['linkage']}: {each['dependent']} follow {each['follows']}; speed ratios {_ratios(each)}; "
                   f"least angle to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}"
                   for each in facts["linkages"]]
+    relations += [f"{each['linkage']}: {each['assembly']}" for each in facts["linkages"] if each["assembly"]]
     lines = [f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
              f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
              f"{counts['none']} have no effect on the actuator forces.", *relations]

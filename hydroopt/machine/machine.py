@@ -20,7 +20,7 @@ from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.imus import INCLINATION
 from hydroopt.machine.links import Joint, Note
-from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.machine.quantity import ImpossibleError, with_likely_units
 from hydroopt.machine.targets import GROUND, TIP
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.units import same_kind
@@ -86,7 +86,7 @@ class Machine(Drawn, MachineDescription):
                 raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which its joint or valve calls for",
                                       f"use '{si}' or another unit of that kind", where)
             if from_file and si != "1" and isinstance(text, int | float):
-                raise ImpossibleError(f"{text:.9g} has no unit", f"write it as \"{text:.9g} {si}\"", where)
+                raise ImpossibleError(f"{text:.9g} has no unit", f"write it as {with_likely_units(text, si)}", where)
         return machine
 
     def _stated_units(self, data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:

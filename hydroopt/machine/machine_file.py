@@ -28,6 +28,7 @@ from hydroopt.machine import (
     linkages,
     loop_checks,
     oil_links,
+    other_ways,
     parameter_sets,
     prior_checks,
 )
@@ -139,8 +140,7 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     try:
         data = _strip_notes(data, "", "", notes)
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
-        loop_checks.check(machine)
-        cylinder_checks.check(machine)
+        _check_geometry(machine)
         prior_checks.check(machine)
     except ValidationError as error:
         what, place, remedy = _in_plain_words(error, data)
@@ -150,6 +150,14 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     except ImpossibleError as error:
         raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
     return machine
+
+
+def _check_geometry(machine: Machine) -> None:
+    try:
+        loop_checks.check(machine)
+        cylinder_checks.check(machine)
+    except ImpossibleError as error:
+        raise ImpossibleError(error.what, other_ways.remedy(machine) or error.remedy, error.key) from None
 
 
 def _default_parents(data: dict[str, Any]) -> None:

@@ -71,11 +71,31 @@ class Quantity:
         if isinstance(value, bool):
             raise ImpossibleError(f"{str(value).lower()} is not a number", "write a number with its unit")
         if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
-            raise ImpossibleError(f"{value:.9g} has no unit", f"write it as \"{value:.9g} {self.si}\"")
+            raise ImpossibleError(f"{value:.9g} has no unit", f"write it as {with_likely_units(value, self.si)}" + (
+                f', or as "{value:.9g} m" if the joint slides' if (self.si, *self.others) == ("rad", "m") else ""))
         if (isinstance(value, int | float) and (info.context or {}).get("from_file") and math.isfinite(value)
                 and not plausible(value, self.si)):
             raise ImpossibleError(implausible(value, self.si), "correct it")
         return value
+
+
+_WRITTEN = {"rad": ("deg", "rad"), "m": ("m", "mm"), "Pa": ("bar", "Pa"), "rad/s": ("deg/s", "rad/s")}
+"""Units in which people mostly write quantities of an SI unit."""
+
+
+_BEYOND = {"rad": math.tau, "rad/s": math.tau, "m": 50.0}
+"""Size from which on a number is not in this unit but in another one of `_WRITTEN`."""
+
+
+def with_likely_units(value: float, si: str) -> str:
+    """A number without a unit, with each one that it may have.
+
+    >>> with_likely_units(-20.0, "rad"), with_likely_units(0.35, "rad"), with_likely_units(90.0, "m")
+    ('"-20 deg"', '"0.35 deg" or "0.35 rad"', '"90 mm"')
+    """
+    likely = [unit for unit in _WRITTEN.get(si, (si,))
+              if abs(value) <= _BEYOND.get(unit, math.inf) and (unit != "mm" or abs(value) >= 1)]
+    return " or ".join(f'"{value:.9g} {unit}"' for unit in likely)
 
 
 class Displacement(Quantity):

@@ -142,6 +142,8 @@ def _weightless(machine: Machine, lengths: dict[str, float]) -> Iterator[Diagnos
 def _held(model: Model) -> Iterator[Diagnostic]:
     """Lever arms, and pressures that hold the machine still, over the ranges of the joints."""
     machine = model.machine
+    if not machine.joints:
+        return
     lower, upper = np.array([machine.link(name).joint.range for name in machine.joints]).T
     q = lower + (upper - lower) * _unit_cube(len(lower))
     arms, = model.over(model.transmission, q)
@@ -155,6 +157,8 @@ def _held(model: Model) -> Iterator[Diagnostic]:
                              + _place(machine, joint, q[worst]),
                              "a few millimetres at a pin then change its force by much",
                              "Correct its pins, the posture of its linkage, or the joint's limits")
+    if not len(model.parameters):
+        return
     q = Hanging(model).postures(q)
     pressure = [np.zeros((len(q), len(machine.actuators)))] if model.needs_pressure else []
     forces = model.over(model.regressor, q, 0 * q, 0 * q, *pressure)[0] @ model.parameters.nominal
@@ -167,7 +171,7 @@ def _held(model: Model) -> Iterator[Diagnostic]:
         most, worst = alone.relief_pressure or HIGHEST, int(np.argmax(needed))
         if needed[worst] > most:
             usual = "hydraulic machines work at up to" if alone.relief_pressure is None else "a valve relieves it at"
-            mass, owner = max((link.body.m, link.name) for link in machine.links if link.body)
+            mass, owner = max((owned.body.m, name) for name, owned in model.bodies.items())
             yield _found(f"{alone.name}'s pressure that holds the machine still", (
                 f"{needed[worst] / 1e5:.0f} bar at {balance.joint} = {_place(machine, balance.joint, q[worst])}"),
                 f"{usual} {most / 1e5:.0f} bar", (

@@ -44,6 +44,14 @@ stroke = "1.3 m"
 barrel = { link = "stick", pin = ["0.1 m", "0.8 m", "0 m"] }
 rod = { link = "rocker", pin = ["0.9 m", "0 m", "0 m"] }
 """
+DRIVES = """
+[[drives]]
+name = "stick_drive"
+joint = "stick"
+[[drives]]
+name = "bucket_drive"
+joint = "bucket"
+"""
 LOOP = """
 [[links]]
 name = "rocker"
@@ -185,3 +193,18 @@ def test_show_prints_the_transmission_ratio_and_the_margin():
     out = CliRunner().invoke(app, ["show", "excavator_bucket"]).output
     assert ("bucket_linkage: rocker, coupler follow bucket; speed ratios rocker / bucket from 0.339 to 0.758, coupler "
             "/ bucket from -0.896 to 0.320; least angle to a dead point 46.9 deg, at bucket = 10.0 deg\n") in out
+
+
+def test_show_says_how_a_loop_is_assembled_and_whether_the_other_way_fits_as_well(tmp_path):
+    """Without a cylinder nothing but the posture decides; with one its stroke does, and a refusal names the posture."""
+    wrong = digger('rocker = "80 deg"', 'rocker = "-10 deg"')
+    (tmp_path / "drive.toml").write_text(LINKS + LINKAGE + DRIVES)
+    shown = " ".join(CliRunner().invoke(app, ["show", str(tmp_path / "drive.toml")]).output.split())
+    assert re.search(r"assembled with rocker = [\d.]+ deg, .* at bucket = -20.0 deg; the other way, .* fits as well",
+                     shown)
+    (tmp_path / "digger.toml").write_text(digger())
+    shown = " ".join(CliRunner().invoke(app, ["show", str(tmp_path / "digger.toml")]).output.split())
+    assert "deg, does not fit" in shown
+    with pytest.raises(MachineError, match=r"correct the posture of 'four_bar': the other way .* rocker = [\d.]+ deg "
+                                           r"at bucket = -20.0 deg, fits"):
+        read_machine(wrong)

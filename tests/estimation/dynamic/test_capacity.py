@@ -63,11 +63,17 @@ accuracy = "0.5 bar"
 [[links]]
 name = "lift"
 joint = { type = "revolute", a = "1.5 m", lower = "-20 deg", upper = "60 deg" }
-body = { m = { value = "60 kg", sigma = "15 %" }, com = { value = ["0.7 m", "0 m", "0 m"], sigma = "0.1 m" }, inertia_com = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "12 kg*m^2", "0 kg*m^2", "12 kg*m^2"] }
+[links.body]
+m = { value = "60 kg", sigma = "15 %" }
+com = { value = ["0.7 m", "0 m", "0 m"], sigma = "0.1 m" }
+inertia_com = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "12 kg*m^2", "0 kg*m^2", "12 kg*m^2"]
 [[links]]
 name = "tilt"
 joint = { type = "revolute", a = "1.3 m", lower = "-110 deg", upper = "-15 deg" }
-body = { m = { value = "90 kg", sigma = "15 %" }, com = { value = ["0.9 m", "0 m", "0 m"], sigma = "0.1 m" }, inertia_com = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "12 kg*m^2", "0 kg*m^2", "12 kg*m^2"] }
+[links.body]
+m = { value = "90 kg", sigma = "15 %" }
+com = { value = ["0.9 m", "0 m", "0 m"], sigma = "0.1 m" }
+inertia_com = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "12 kg*m^2", "0 kg*m^2", "12 kg*m^2"]
 [[cylinders]]
 name = "lift_cylinder"
 bore = "80 mm"
