@@ -9,7 +9,7 @@ from hydroopt.results.readable import readable
 
 ROWS = 12
 """Rows of a table, or lines of a list, that are shown; what is left out is counted."""
-WRAPPED = ("channels", "alone", "joint")
+WRAPPED = ("channels", "alone", "joint", "actuator")
 """Columns that may take several lines."""
 
 

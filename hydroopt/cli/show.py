@@ -203,8 +203,10 @@ def _table(title: str, rows: list[dict[str, Any]], *, short: bool = False) -> Ta
     table = Table(title=title, title_justify="left", header_style="bold",
                   box=box.SIMPLE_HEAD if short else box.HEAVY_HEAD, show_edge=not short)
     for key in rows[0]:
-        table.add_column(escape(key), no_wrap=short and key not in summary.WRAPPED,
-                         overflow="ellipsis" if short and key not in summary.WRAPPED else "fold")
+        wraps = key in summary.WRAPPED
+        word = max(len(word) for row in rows for word in [key, *str(row[key]).split()]) if short and wraps else None
+        table.add_column(escape(key), no_wrap=short and not wraps, min_width=word,
+                         overflow="ellipsis" if short and not wraps else "fold")
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else escape(str(v)) for v in row.values()])
     return table

@@ -81,6 +81,10 @@ class TwoWeights:
 Smoothing = SmoothingSpline | Fourier | Butterworth | TwoWeights
 
 
+STANDSTILL = 1e-6
+"""Speed of a joint [rad/s or m/s] below which it stands still: smoothing leaves rounding."""
+
+
 @dataclass(frozen=True)
 class Motion:
     """Conditioned motion of n joints.

@@ -19,6 +19,7 @@ from hydroopt.machine.posture import said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.machine.stroke_checks import ShortStroke
+from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.evenly_spread import sobol
 from hydroopt.spatial.inertia import Array
 
@@ -26,6 +27,8 @@ FEW = 3
 """Up to how many joints are checked on a grid."""
 WIDE = np.radians(120)
 """Range of a joint beyond which a cylinder pinned to the link itself is rare: a rocker and a coupler stand between."""
+ASIDE = 0.2
+"""Part of the shorter distance of a pin from a joint's axis, by which pins apart along the axis are suspicious."""
 DRAWN = 12
 """Logarithm to the base 2 of the number of samples of more joints."""
 
@@ -53,7 +56,7 @@ def check(machine: Machine) -> None:
             short.append(_check_on_grid(geometry, cylinder, alone=alone))
             continue
         joint, sides = found
-        hint = _rocker_hint(machine, joint)
+        hint = _axis_hint(machine, joint, sides) or _rocker_hint(machine, joint)
         if alone:
             _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), machine.link(joint).joint.range, hint)
         short.append(stroke_checks.by_triangle(cylinder, joint, sides, machine.link(joint).joint.range, hint))
@@ -243,6 +246,18 @@ def _slides(geometry: Geometry) -> Iterator[ShortStroke | None]:
             at = Mechanism(machine).positions(geometry, q)[joint]
             lengths = np.asarray(ca.Function("slide", [ca.vertcat(*q.values())], [at])(states)).ravel()
             yield stroke_checks.by_samples(joint, lengths, place, machine.link(joint).joint.range)
+
+
+def _axis_hint(machine: Machine, joint: str, sides: Triangle) -> str:
+    """What else may be wrong where a joint turns by more than a turn, or not in the plane of a cylinder's pins."""
+    lower, upper = machine.link(joint).joint.range
+    if upper - lower > 2 * np.pi:
+        return f"; '{joint}' turns by {np.degrees(upper - lower):.0f} deg, as if deg were meant, not rad"
+    fixed, moving, _, lateral = (float(value) for value in sides)
+    if abs(lateral) > ASIDE * min(fixed, moving):
+        return (f"; its pins are {1e3 * abs(lateral):.0f} mm apart along the axis of '{joint}': check their y and z, "
+                "and alpha of the link before")
+    return ""
 
 
 def _rocker_hint(machine: Machine, joint: str) -> str:

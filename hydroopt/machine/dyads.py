@@ -17,6 +17,7 @@ from hydroopt.machine.assembly import Solved
 from hydroopt.machine.closures import DyadClosure
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.plane import angle_between, conjugate, product, turned_to, unit
+from hydroopt.machine.quantity import longer_than_machines
 
 
 class Dyad(NamedTuple):
@@ -106,8 +107,9 @@ class DyadAssembly(NamedTuple):
         """Between which distances its bars close, in words."""
         made = dyad(geometry, self.closure, q)
         first, second = (float(ca.sqrt(square)) for square in made.squares)
-        return (f"its bars span {abs(first - second):.3f} to {first + second:.3f} m, their ends are "
-                f"{float(ca.norm_2(made.span)):.3f} m apart")
+        apart = float(ca.norm_2(made.span))
+        return (f"its bars span {abs(first - second):.3f} to {first + second:.3f} m, their ends are {apart:.3f} m apart"
+                f"{longer_than_machines(max(first, second, apart))}")
 
     @property
     def dead(self) -> str:

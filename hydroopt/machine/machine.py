@@ -207,6 +207,14 @@ class Machine(Drawn, MachineDescription):
                                   f"{len(moved)} joints {', '.join(moved)}",
                                   "add actuators, or state fewer joints, such as coordinates of a free link")
 
+    def _elsewhere(self, joint: str) -> str:
+        """Which of several cylinders that drive another joint may be pinned wrongly, where nothing drives this one."""
+        several = next((each for each in self.drivers.values() if len(each) > 1), ())
+        rocker = next((name for name, follows in self.followed.items() if name != joint and follows == (joint,)), joint)
+        if not several:
+            return ""
+        return f"pin {' or '.join(repr(each.name) for each in several)} to '{rocker}'; or "
+
     def _driven(self, joint: str, drivers: tuple[Actuator, ...], across: str | None) -> None:
         if self.link(joint).joint.passive:
             if drivers:
@@ -216,7 +224,7 @@ class Machine(Drawn, MachineDescription):
         if not drivers:
             self._enough(across)
             only = f"; '{across}' crosses it, but drives another joint" if across else ""
-            raise ImpossibleError(f"nothing drives the joint '{joint}'{only}",
+            raise ImpossibleError(f"nothing drives the joint '{joint}'{only}", f"{self._elsewhere(joint)}"
                                   "add its actuator, with measured = false if no log holds its force; make the joint "
                                   "locked, or passive if it swings freely; or state the loop that determines it and "
                                   "make it dependent")

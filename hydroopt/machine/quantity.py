@@ -83,7 +83,9 @@ _WRITTEN = {"rad": ("deg", "rad"), "m": ("m", "mm"), "Pa": ("bar", "Pa"), "rad/s
 """Units in which people mostly write quantities of an SI unit."""
 
 
-_BEYOND = {"rad": math.tau, "rad/s": math.tau, "m": 50.0}
+LONGEST = 50.0
+"""Length [m] of a link or cylinder, or distance of a pin, beyond those of machines."""
+_BEYOND = {"rad": math.tau, "rad/s": math.tau, "m": LONGEST}
 """Size from which on a number is not in this unit but in another one of `_WRITTEN`."""
 
 
@@ -96,6 +98,15 @@ def with_likely_units(value: float, si: str) -> str:
     likely = [unit for unit in _WRITTEN.get(si, (si,))
               if abs(value) <= _BEYOND.get(unit, math.inf) and (unit != "mm" or abs(value) >= 1)]
     return " or ".join(f'"{value:.9g} {unit}"' for unit in likely)
+
+
+def longer_than_machines(length: float) -> str:
+    """What is probably wrong of a length [m] that no machine has, to add to a sentence; empty for others.
+
+    >>> longer_than_machines(2.5), longer_than_machines(600.0)
+    ('', ' (probably in mm)')
+    """
+    return " (probably in mm)" if length > LONGEST else ""
 
 
 class Displacement(Quantity):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.machine.quantity import ImpossibleError, longer_than_machines
 from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.inertia import Array
 
@@ -64,7 +64,7 @@ def by_triangle(cylinder: Cylinder, joint: str, sides: Triangle, limits: tuple[f
             f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
             f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
             f"correct its pins, dead length or stroke (the joint's range takes {lengths.min():.3f} to "
-            f"{lengths.max():.3f} m pin to pin){hint}")
+            f"{lengths.max():.3f} m pin to pin){longer_than_machines(max(longest, extended))}{hint}")
     short = by_samples(cylinder.name, lengths, lambda k: f"{joint} = {np.degrees(angles[k]):.1f} deg",
                        (retracted, extended))
     return short and short._replace(hint=hint)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.quantity import LONGEST
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic
@@ -30,8 +31,6 @@ LEAST_RANGE = math.radians(3.0)
 """Range of a joint that turns, below which its limits are probably radians [rad]."""
 LEAST_ARM = 0.02
 """Lever arm [m] below which a few millimetres at a pin change a cylinder's force by much."""
-LONGEST = 50.0
-"""Length of a link, or distance of a pin on it [m]."""
 FAR = 3.0
 """Distance of a centre of mass in lengths of its link, or in halves of all links together."""
 LONG = 0.1

@@ -10,6 +10,7 @@ from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.logs import sensors
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import STANDSTILL
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
 from hydroopt.machine.given_machine import GivenMachine
@@ -183,8 +184,10 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     """Noise-free forces (N, a) of all actuators, measured or not, in a motion with the parameters ψ.
 
     The friction of seals depends on pressures and these on the force, which is so found for both at once. Actuators of
-    one joint share its load by the rule of `shared_load`.
+    one joint share its load by the rule of `shared_load`. A joint slower than `STANDSTILL` stands still: its speed
+    would be rounding, whose sign dry friction would follow.
     """
+    motion = replace(motion, qd=np.where(np.abs(motion.qd) < STANDSTILL, 0.0, motion.qd))
     if own := set(model.pressed) - set(model.machine.sealed):
         raise ProblemError(f"own terms of {', '.join(own)} depend on pressures, which follow from forces",
                            where="simulate", remedy="simulate without these terms")

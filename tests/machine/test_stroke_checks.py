@@ -67,3 +67,22 @@ def test_a_wide_range_hints_at_a_missing_rocker(low: float, hinted: bool) -> Non
     with pytest.raises(MachineError) as refused:
         read_machine(bucket(low, 1.3, 0.2))
     assert ("or state a rocker between rod and link by [[linkages]]" in str(refused.value)) is hinted
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('lower = "-40 deg", upper = "60 deg"', 'lower = "-40 rad", upper = "60 rad"', "turns by 5730 deg, as if deg were"),
+    ('["-1.5 m", "0.4 m", "0 m"]', '["-1.5 m", "0 m", "0.4 m"]', "400 mm apart along the axis of 'bucket'"),
+    ('["-1.5 m", "0.4 m", "0 m"]', '["-1500 m", "400 m", "0 m"]', "(probably in mm)")])
+def test_a_refusal_names_what_is_probably_wrong(old: str, new: str, words: str) -> None:
+    with pytest.raises(MachineError) as refused:
+        read_machine(bucket(-40, 1.3, 0.2).replace(old, new))
+    assert words in str(refused.value)
+
+
+def test_of_two_cylinders_at_one_joint_one_belongs_where_nothing_drives() -> None:
+    """A Z-bar's tilt cylinder that is pinned to the lift arm."""
+    loader = (Path(__file__).parents[2] / "models/wheel_loader.toml").read_text("utf-8")
+    past = loader.replace('link = "bellcrank"', 'link = "lift"')
+    assert past != loader
+    with pytest.raises(MachineError, match="pin 'lift_cylinder' or 'tilt_cylinder' to 'bellcrank'; or add"):
+        read_machine(past)

@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.logs.smoothing import Motion
+from hydroopt.logs.smoothing import STANDSTILL, Motion
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
-NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
+NOISE_FACTOR, OVERSHOOT = 4.0, 0.15
 """The sign of a joint's velocity is unknown below this many standard deviations of its noise, below this part of its
-RMS speed (after an abrupt stop smoothing oscillates, so that slower readings may have the wrong sign), and below this
-speed in rad/s or m/s."""
+RMS speed (after an abrupt stop smoothing oscillates, so that slower readings may have the wrong sign), and below
+`STANDSTILL`."""
 
 FEW_MOVING = 0.01
 """A joint that moves in less than this part of the samples counts as standing still, since noise has the same
