@@ -40,7 +40,7 @@ class OtherWay(NamedTuple):
     def __str__(self) -> str:
         here = f"assembled with {self.own} at {self.at}"
         if self.broken:
-            return f"{here}; the other way, {self.other}, does not fit"
+            return f"{here}; the other way does not fit"
         arms = ", ".join(f"{name} from {low:.3f} to {high:.3f} m" for name, (low, high) in self.arms.items())
         return (f"{here}; the other way, {self.other}, fits as well" + f" (lever arm of {arms})" * bool(arms)
                 + ": compare the posture with the machine")

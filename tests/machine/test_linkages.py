@@ -204,7 +204,7 @@ def test_show_says_how_a_loop_is_assembled_and_whether_the_other_way_fits_as_wel
                      shown)
     (tmp_path / "digger.toml").write_text(digger())
     shown = " ".join(CliRunner().invoke(app, ["show", str(tmp_path / "digger.toml")]).output.split())
-    assert "deg, does not fit" in shown
+    assert "the other way does not fit" in shown
     with pytest.raises(MachineError, match=r"correct the posture of 'four_bar': the other way .* rocker = [\d.]+ deg "
                                            r"at bucket = -20.0 deg, fits"):
         read_machine(wrong)
