@@ -82,7 +82,7 @@ def _part(part: dict[str, Any], scale: float, x: float, y: float, *, last: bool)
     top, right = foot - up, left + along
     upright = abs(np.sin(part["alpha"])) < 0.5
     end = (f'<circle cx="{right:.1f}" cy="{top:.1f}" r="6" fill="none" stroke="{STROKE}" stroke-width="2"/>'
-           if last or not upright else f'<circle cx="{right:.1f}" cy="{top:.1f}" r="5"/>')
+           if last or not upright else f'<circle cx="{right:.1f}" cy="{top:.1f}" r="5" style="fill: {STROKE}"/>')
     sensor = "" if part["accuracy"] is None else f", sensor ±{plain(np.degrees(part['accuracy']), 3)}°"
     said = "ball" if last else f"twist {plain(np.degrees(part['alpha']), 3)}°"
     text = [

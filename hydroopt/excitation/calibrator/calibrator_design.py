@@ -51,6 +51,8 @@ class CalibratorDesign(PosePlan):
         length_std: deviations [m] asked for by length; `least` if they only weigh.
         cost: of links and sensors.
         tried: constructions in the order in which they were sized.
+        bound: below this, in units of what is asked for, no choice of as many of the candidate poses brings the largest
+            deviation (see `Shares`); NaN where locked joints drift.
 
     >>> import hydroopt
     >>> problem = hydroopt.calibrator_problem(hydroopt.load_machine("cat215b"), 8, links=(4, 4))
@@ -66,6 +68,7 @@ class CalibratorDesign(PosePlan):
     least: bool
     cost: float
     tried: tuple[Tried, ...]
+    bound: float
 
     job = Job.CALIBRATOR
 
@@ -154,7 +157,7 @@ class CalibratorDesign(PosePlan):
                 "length_std_m": {name: number(each) for name, each in self.length_std.items()},
                 "expected_m": {name: number(each) for name, each in self.length_deviations.items()},
                 "expected_if_exact_m": {name: number(each) for name, each in self.exact_deviations.items()},
-                "tried": [each._asdict() for each in self.tried],
+                "bound": number(self.bound), "tried": [each._asdict() for each in self.tried],
                 "own_errors": [each._asdict() for each in self.own_errors]}
 
     def files(self) -> Mapping[str, str]:

@@ -48,7 +48,7 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
             max(offered, key=lambda each: (each[1].links, -each[1].sensors[0].accuracy))]
     tried: list[Tried] = []
     for k, (_, construction) in enumerate(offered):
-        search = _search(problem, construction)
+        search = search_of(problem, construction)
         sized = search.best(starts, rng, progress, (0.9 * k / len(offered), 0.9 * (k + 1) / len(offered)), effort)
         built = construction._replace(crossing=search.crossing(sized.values)) if sized.values else construction
         tried.append(_tried(problem, built, sized))
@@ -57,7 +57,7 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
         if not problem.least:
             built, sized = _cheaper(problem, built, sized, rng, tried)
         progress("choosing poses", 0.9)
-        if (design := _planned(problem, built, sized, tuple(tried), rng, seed)) is not None and (
+        if (design := planned(problem, built, sized, tuple(tried), rng, seed)) is not None and (
                 problem.least or design.reached):
             return design
     best = min(tried, key=lambda each: each.ratio)
@@ -70,7 +70,8 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
                        remedy="ask for less, measure more poses, or allow better sensors, more or longer links")
 
 
-def _search(problem: CalibratorProblem, construction: Construction) -> Search:
+def search_of(problem: CalibratorProblem, construction: Construction) -> Search:
+    """The sizes of one of its constructions."""
     return Search(problem.machine, construction, problem.workshop, problem.keep, problem.length_std, problem.count,
                   problem.fixed, problem.priors)
 
@@ -90,7 +91,7 @@ def _cheaper(problem: CalibratorProblem, construction: Construction, sized: Size
             sensors: list[SensorOffer] = list(construction.sensors)
             sensors[joint] = offer
             other = construction._replace(sensors=tuple(sensors))
-            search = _search(problem, other)
+            search = search_of(problem, other)
             again = search.refined(sized.values, rng, 0)
             if again is not None:
                 tried.append(_tried(problem, other, again))
@@ -100,10 +101,10 @@ def _cheaper(problem: CalibratorProblem, construction: Construction, sized: Size
     return construction, sized
 
 
-def _planned(problem: CalibratorProblem, construction: Construction, sized: Sized, tried: tuple[Tried, ...],
+def planned(problem: CalibratorProblem, construction: Construction, sized: Sized, tried: tuple[Tried, ...],
              rng: np.random.Generator, seed: int) -> CalibratorDesign | None:
     """The calibrator in round numbers with whole numbers of poses; None where too few postures close."""
-    search = _search(problem, construction)
+    search = search_of(problem, construction)
     values = _rounded(sized.values, search)
     found = search.postures(values, int(MORE * problem.count), rng)
     found = [np.concatenate(pair) for pair in zip(search.closed(values, sized.q), found, strict=True)]
@@ -114,12 +115,17 @@ def _planned(problem: CalibratorProblem, construction: Construction, sized: Size
     base = pose_problem(machine, problem.count, criterion="A", focus=tuple(problem.length_std), priors=problem.priors,
                         fixed={name: values.get(name, value) for name, value in problem.fixed.items()})
     q = np.array([_in_order(base, k, each[:least]) for k, each in enumerate(found)])
-    chosen, log_det = best_poses(base, q, units=_units(search, values, q, problem.length_std))
+    shares = search.program.shares(values, q, 400)
+    units = {name: target / math.sqrt(max(float(weight), 1e-6))
+             for (name, target), weight in zip(problem.length_std.items(), shares.weight, strict=True)}
+    drifts = any(group.drift for group in base.groups)  # these depend on the order, too
+    chosen, log_det = best_poses(base, q, units=units)
     labels, chosen_q = base.labels(problem.count), q[chosen]
     return CalibratorDesign(
         base, least, seed, labels, chosen_q, lengths(base.model, chosen_q),
         observability(*linearised(base, chosen_q, labels)), log_det, construction, values, problem.workshop,
-        problem.length_std, problem.least, problem.cost(construction), tried)
+        problem.length_std, problem.least, problem.cost(construction), tried,
+        math.nan if drifts else math.sqrt(shares.bound))
 
 
 def _rounded(values: Mapping[str, float], search: Search) -> dict[str, float]:
@@ -127,13 +133,6 @@ def _rounded(values: Mapping[str, float], search: Search) -> dict[str, float]:
     fixture = fixture_of(search.machine)
     step = {size.name: 1e-2 if size.name.startswith(f"{fixture}.") else ROUNDED[size.unit] for size in search.sizes}
     return {name: round(value / step[name]) * step[name] if name in step else value for name, value in values.items()}
-
-
-def _units(search: Search, values: Mapping[str, float], q: Array, asked: Mapping[str, float]) -> dict[str, float]:
-    """Units [m] in which the sum of the variances is least where the largest deviation is."""
-    weight = search.program.shares(values, q, 150).weight
-    return {name: target / math.sqrt(max(float(each), 1e-6))
-            for (name, target), each in zip(asked.items(), weight, strict=True)}
 
 
 def _in_order(problem: PoseProblem, group: int, q: Array) -> Array:

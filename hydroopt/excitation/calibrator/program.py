@@ -32,9 +32,10 @@ FAINT = 1e-6
 """Information of every parameter in units of its scale: keeps the covariance finite."""
 STROKE = 0.1
 """Part of each stroke by which poses stay away from its ends."""
-DEXTERITY = 0.02
+DEXTERITY = 0.1
 """Least determinant of J·Jᵀ over the cube of its mean eigenvalue, J (3, r) the motion of the ball by the calibrator's
-joints: 1 where it moves alike in all directions, 0 in a singular pose."""
+joints: 1 where it moves alike in all directions, 0 in a singular pose. It also keeps the calibrator from being
+stretched, so that it still reaches the ball if the machine is some centimetres off."""
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,12 @@ def test_deviations_are_those_of_the_numerical_jacobian_of_the_assembled_chain()
         assert expected == pytest.approx(std[name], rel=1e-3)
 
 
+def test_no_other_choice_of_candidate_poses_would_be_much_better() -> None:
+    done = design()
+    largest = max(done.length_deviations[name] / asked for name, asked in done.length_std.items())
+    assert done.bound <= largest <= 1.5 * done.bound
+
+
 def test_poses_close_within_all_limits_and_none_is_singular() -> None:
     done = design()
     machine, model = done.machine, done.problem.model
