@@ -106,6 +106,10 @@ def _each_file_named(takes_files: Collection[str], arguments: list[str]) -> list
     return named
 
 
+WHOLE = 1000
+"""Characters of a help that is not cut."""
+
+
 class Group(TyperGroup):
     """Commands of one name in front."""
 
@@ -115,6 +119,11 @@ class Group(TyperGroup):
         if option is not None:
             option.default = False
         return option
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with all of their first sentence."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, command.get_short_help_str(WHOLE)) for name, command in self.commands.items()])
 
 
 class Commands(Group):

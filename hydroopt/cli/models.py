@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import textwrap
 from typing import TYPE_CHECKING
 
 from hydroopt.cli.options import AsJson
@@ -25,10 +27,11 @@ def models(as_json: AsJson = False) -> None:
     if as_json:
         echo(json.dumps(rows, indent=1))
         return
+    width = max(60, shutil.get_terminal_size(fallback=(160, 24)).columns)
     for row in rows:
         joints = f"{row['joints']} joint{'s' * (row['joints'] != 1)}, {row['moved_by']}"
         echo(f"{row['name']:<20} {joints}; {row['assumed']} of {row['stated']} sources are assumptions\n"
-             f"{'':<20} {row['description']}")
+             + textwrap.fill(str(row["description"]), width, initial_indent=" " * 21, subsequent_indent=" " * 21))
     echo("Show one: hydroopt show NAME. Begin with your own: hydroopt new.")
 
 

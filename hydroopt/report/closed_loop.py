@@ -12,7 +12,7 @@ from hydroopt.report import hydraulics
 from hydroopt.report.charts import LOOKS, Chart, Curves, Plane
 from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
-from hydroopt.report.panels import SMALL, Panel, Trace, charts_of, columns_of, positions
+from hydroopt.report.panels import NUMBERS, SMALL, Panel, Trace, charts_of, columns_of, positions
 from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
@@ -199,7 +199,8 @@ def _steps(comparison: Comparison) -> Iterator[Curves]:
 
 
 def _with_unit(value: float, unit: str) -> str:
-    return plain(value, 2) + ("" if unit == "1" else f" {unit_text(unit)}")
+    name, factor = NUMBERS.get(unit, ("" if unit == "1" else unit_text(unit), 1.0))
+    return f"{plain(factor * value, 2)} {name}".strip()
 
 
 def _shown(comparison: Comparison) -> list[tuple[Outcome, str]]:
