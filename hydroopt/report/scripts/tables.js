@@ -58,3 +58,14 @@ for (const table of document.querySelectorAll("main table:not([data-fixed])")) {
     });
   });
 }
+
+// A table that is wider than its window can be moved by the keyboard.
+for (const box of document.querySelectorAll(".scroll:not([tabindex])")) {
+  const section = box.closest("section"), heading = section && section.querySelector("h2, h3");
+  new ResizeObserver(() => {
+    const wide = box.scrollWidth > box.clientWidth;
+    for (const [key, value] of [["tabindex", "0"], ["role", "group"], ["aria-label", heading ? heading.textContent : "table"]]) {
+      if (wide) box.setAttribute(key, value); else box.removeAttribute(key);
+    }
+  }).observe(box);
+}
