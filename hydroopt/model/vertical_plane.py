@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, roll_pitch_yaw
@@ -42,13 +43,17 @@ def range_postures(model: Model, q: Array) -> SidePostures:
 
 
 def limit_postures(model: Model) -> SidePostures:
-    """The middle of all ranges, then both limits of each joint that moves the machine in the plane."""
+    """The middle of all ranges, then both limits of each joint that moves the machine in the plane.
+
+    Passive joints hang.
+    """
     limits = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints])
     middle = limits.mean(axis=1)
     q = np.tile(middle, (2 * len(middle), 1))
     for k, limit in enumerate(limits):
         q[2 * k : 2 * k + 2, k] = limit
-    return range_postures(model, q)
+    found = range_postures(model, q)
+    return found._replace(q=Hanging(model).postures(found.q))
 
 
 def vertical_plane(model: Model, mean: Array) -> Plane:

@@ -34,6 +34,19 @@ def test_loops_close_in_every_posture():
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 
+def test_passive_joints_hang():
+    """A grapple is drawn below its boom in every posture: gravity turns none of its hinges."""
+    model = Model(load_machine("forestry_crane"))
+    machine = model.machine
+    passive = [k for k, joint in enumerate(machine.joints) if machine.link(joint).joint.passive]
+    assert len(passive) == 2
+    for q in limit_postures(model).q:
+        torques = np.array(model.gravity_torques(q, model.parameters.nominal)).ravel()
+        inside = [k for k in passive
+                  if min(abs(q[k] - limit) for limit in machine.link(machine.joints[k]).joint.range) > 1e-9]
+        assert np.all(np.abs(torques[inside]) < 1e-3 * np.abs(torques).max())
+
+
 def test_lever_arms_are_the_slopes_of_lengths():
     model = Model(load_machine("wheel_loader"))
     lift, tilt = lever_arms(model)
