@@ -109,8 +109,9 @@ class MotionCheck(Answer):
         tip = self.model.over(self.model.forward_kinematics, path.q)[-1][:, :3, 3]
         scales = {row.name: row.scale for row in self.limits.rows}
         for limit, course in kept.items():
-            own = itself[limit].use
-            beyond = -own.room if own.room < -EXACT * scales[limit] else 0.0
+            # own parts that come near by no more than the reserve are watched for the reserve alone
+            own = itself[limit].use if limit in itself else course.use
+            beyond = -own.room if limit in itself and own.room < -EXACT * scales[limit] else 0.0
             use = course.use if course.use.room < -EXACT * scales[limit] else _without_rounding(course.use)
             sample = own.sample if beyond else use.sample
             x, y, z = tip[sample].tolist()

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from hydroopt.excitation.motion.basis import Basis
     from hydroopt.machine.machine import Machine
 
+HARMONICS, BLEND = 10, 2.0
+"""Of the Fourier series, and time [s] of its entry and exit, where nothing is given and the machine is fast enough."""
+
 
 def excite(
     machine: MachineName,
@@ -48,9 +51,12 @@ def excite(
     duration: Annotated[float, typer.Option(help="Duration of the random or designed motion [s].")] = 33.0,
     period: Annotated[float | None, typer.Option(
         help="Of the Fourier series [s]; else what entry and exit leave of the duration.")] = None,
-    harmonics: Annotated[int | None, typer.Option(help="Of the Fourier series; 10 if not given.", min=1)] = None,
+    harmonics: Annotated[int | None, typer.Option(
+        help="Of the Fourier series; if not given 10, or as many as stay below half of the machine's bandwidth.",
+        min=1)] = None,
     blend: Annotated[float | None, typer.Option(
-        help="Of the Fourier series' entry and of its exit [s]; 2 if not given.", min=0.1)] = None,
+        help="Of the Fourier series' entry and of its exit [s]; if not given 2, or two periods of a slow machine.",
+        min=0.1)] = None,
     pieces: Annotated[int | None, typer.Option(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
@@ -105,8 +111,8 @@ def excite(
     refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
                               "trajectory.parquet", "approach.csv", "approach.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
-    basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _positions(
-        described, rest or (), "--rest")
+    basis = _basis(duration, pieces, period, harmonics, blend, described.bandwidth)
+    resting = _positions(described, rest or (), "--rest")
     reserves, pace, standing = reserves_of(described, reserve or ()), to_si(speed, "1", where="--speed"), _positions(
         described, start or (), "--start")
     if not 0 < pace <= 1:
@@ -134,19 +140,25 @@ def excite(
     print_answer(motion, output, quiet=quiet, as_json=as_json)
 
 
-def _basis(duration: float, pieces: int | None, period: float | None, harmonics: int, blend: float) -> Basis:
+def _basis(duration: float, pieces: int | None, period: float | None, harmonics: int | None, blend: float | None,
+           bandwidth: float | None) -> Basis:
+    """The functions of time; what is not given stays well below the bandwidth [Hz], which smoothing would take away."""
     from hydroopt.excitation.motion.basis import Fourier, Spline
 
     if not 0 < duration < 1e5:
         raise ProblemError(f"a motion cannot take {duration:g} s", where="--duration", remedy="give some seconds")
     if pieces is not None:
         return Spline(duration, pieces)
+    if blend is None:
+        blend = BLEND if bandwidth is None else max(BLEND, min(2 / bandwidth, duration / 4))
     left = duration - 2 * blend
     period = left if period is None else period
     if not 0 < period <= left * (1 + 1e-9):
         raise ProblemError(f"a period of {period:g} s does not fit into {duration:g} s with an entry and an exit of "
                            f"{blend:g} s", where="--duration" if left <= 0 else "--period",
                            remedy="give a longer duration, or a shorter period or blend")
+    if harmonics is None:
+        harmonics = HARMONICS if bandwidth is None else min(HARMONICS, max(int(bandwidth / 2 * period), 1))
     return Fourier(period, harmonics, int(left / period * (1 + 1e-9)), blend)
 
 

@@ -15,8 +15,9 @@ from hydroopt.codegen.routines import Interface
 from hydroopt.codegen.symbols import Guard
 from hydroopt.codegen.valves import FACTORS
 from hydroopt.control.valve_refit import STATE
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.plant import Plant
-from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.inertia import Array, from_pseudo_inertia
 
 STATES = 4
 MARGIN = 0.1
@@ -26,6 +27,8 @@ TRIES = 64
 rounding decides."""
 CLEAR = 1e-4
 """How well a posture determines the wrench at the tip, see `Dynamics.tip_wrench`, where rounding does not decide it."""
+ADDED, REACH = 0.1, 0.5
+"""Mass that is fixed to every body, as a part of the bodies' mean, and how far from its frame [m]."""
 BENT = 0.05
 """How far from stretched an arm must be, so that rounding does not decide its angles."""
 
@@ -93,6 +96,7 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
     inputs["stroke"] = inputs["length"] - np.array([c.dead_length for c in machine.cylinders])
     inputs |= {name: _generic(name, array, rng, share) for name, array in interface.values.items()}
+    inputs["psi"] = _possible(inputs["psi"], interface, rng)
     if interface.together:
         # lengths that give a joint together must not contradict one another
         geometry = interface.inputs.get("geometry", ca.SX(0, 1))
@@ -173,6 +177,22 @@ def _generic(name: str, array: Array, rng: np.random.Generator, share: float) ->
     if name == "psi":
         return np.asarray(array + rng.uniform(-0.3, 0.3, len(array)) * np.maximum(np.abs(array), 100.0))
     return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (share if name == "geometry" else array))
+
+
+def _possible(psi: Array, interface: Interface, rng: np.random.Generator) -> Array:
+    """Parameters (p,) with bodies and rotors that can exist, since forward dynamics has no answer without.
+
+    Each body is the described one with a random one of `ADDED` of the bodies' mean mass fixed to it.
+    """
+    parameters, nominal, made = interface.complete.parameters, interface.values["psi"], psi.copy()
+    columns = list(parameters.bodies.values())
+    typical = np.mean([nominal[body.start] for body in columns]) if columns else 0.0
+    for body in columns:
+        root = np.diag([REACH, REACH, REACH, 1.0]) @ rng.uniform(-1, 1, (4, 4))
+        made[body] = nominal[body] + from_pseudo_inertia(ADDED * (typical or 1.0) * root @ root.T)
+    rotors = list(parameters.places(ParameterKind.ROTOR_INERTIA))
+    made[rotors] = np.abs(psi[rotors])
+    return made
 
 
 def results(function: ca.Function, inputs: dict[str, Array]) -> list[Array]:

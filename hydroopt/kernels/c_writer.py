@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hydroopt.kernels.expression_graph import Program, Ref
@@ -42,6 +43,44 @@ def literal(value: float, *, single: bool = False) -> str:
 def statements(program: Program, naming: Naming) -> list[str]:
     """One statement a line: values that serve several others first, then every entry of every output."""
     return _Writer(program, naming).lines
+
+
+class Pieces(NamedTuple):
+    """Statements in pieces that a compiler can take one by one, and how many values pass between them."""
+
+    pieces: list[list[str]]
+    passed: int
+
+
+def in_pieces(lines: Sequence[str], size: int) -> Pieces:
+    """Statements in pieces of a `size`: what a later piece needs stands in an array ``passed`` instead of a name.
+
+    >>> in_pieces(["const double v0 = 2 * x[0];", "const double v1 = v0 * v0;", "y[0] = v0 + v1;"], 2).pieces
+    [['passed[0] = 2 * x[0];', 'passed[1] = passed[0] * passed[0];'], ['y[0] = passed[0] + passed[1];']]
+    """
+    at = {name: k // size for k, line in enumerate(lines) if (name := _defined(line))}
+    across: dict[str, str] = {}
+    for k, line in enumerate(lines):
+        for name in _VALUE.findall(line):
+            if at[name] != k // size:
+                across.setdefault(name, f"passed[{len(across)}]")
+
+    def written(line: str) -> str:
+        name = _defined(line)
+        value = line.partition(" = ")[2] if name in across else line
+        value = _VALUE.sub(lambda found: across.get(found[0], found[0]), value)
+        return f"{across[name]} = {value}" if name in across else value
+
+    made = [written(line) for line in lines]
+    return Pieces([made[k : k + size] for k in range(0, len(made), size)], len(across))
+
+
+_VALUE = re.compile(r"\bv\d+\b")
+
+
+def _defined(line: str) -> str:
+    """The value that a statement names; nothing where it is an entry of an output."""
+    return line.split(maxsplit=3)[2] if line.startswith("const ") else ""
 
 
 class _Writer:

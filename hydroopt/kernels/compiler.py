@@ -33,6 +33,8 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
 FLAGS = flags(platform.system(), platform.machine())
 LONG = 300_000
 """Characters of C beyond which full optimisation takes minutes and gains little."""
+LONGEST = 3_000_000
+"""Characters of C beyond which any optimisation takes minutes; without, it still beats CasADi's virtual machine."""
 PROBING, COMPILING = 10.0, 120.0
 """Time limits [s] of a compiler to introduce itself, and to compile a kernel."""
 
@@ -66,7 +68,7 @@ class Compiler:
             subprocess.SubprocessError: it fails or exceeds its time limit.
         """
         built = folder / "kernel.so"
-        quick = ("-O1",) if len(source) > LONG else ()  # the last level stated counts
+        quick = ("-O0",) if len(source) > LONGEST else ("-O1",) if len(source) > LONG else ()  # the last level counts
         command = (*self.command, *FLAGS, *quick, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:
             _run(command, source.encode(), COMPILING, folder)

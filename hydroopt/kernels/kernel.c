@@ -56,15 +56,25 @@ static void blank(const span *some, double *out, long step, long n, long past)
 
 /* As many samples as there are lanes, entry k of an output at out[k * step]: in the caches, or past them, so that no line
    is fetched that is overwritten. */
-{% for name in ("here", "past") %}
-static void {{ name }}({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}double *const *out, const long *step)
+{% for name in ways %}
+{% for piece in pieces %}
+static {{ "__attribute__((noinline)) " if passed }}void {{ name }}{{ loop.index0 }}({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}double *const *out, const long *step, real *restrict passed)
 {
 {% for output in outputs %}
     double *const y{{ loop.index0 }} = out[{{ loop.index0 }}];
     const long step{{ loop.index0 }} = step[{{ loop.index0 }}];
 {% endfor %}
-{% for line in lines %}
+{% for line in piece %}
     {{ line.replace("PUT", name.upper(), 1) }}
+{% endfor %}
+}
+
+{% endfor %}
+static void {{ name }}({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}double *const *out, const long *step)
+{
+    real passed[{{ passed or 1 }}];
+{% for piece in pieces %}
+    {{ name }}{{ loop.index0 }}({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}out, step, passed);
 {% endfor %}
 }
 
@@ -95,8 +105,8 @@ void over(long n, const double *const *in, const long *stride, double *const *ou
 {% for output in outputs %}
             keep(written{{ loop.index0 }}, last{{ loop.index0 }}, to[{{ loop.index0 }}], step[{{ loop.index0 }}], n - s);
 {% endfor %}
-        } else if (past_caches) past({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
-        else here({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
+        }{% if "past" in ways %} else if (past_caches) past({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
+        {% endif %}else here({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}to, step);
     }
 {% for output in outputs %}
     if (whole) blank(zero{{ loop.index0 }}, out[{{ loop.index0 }}], step[{{ loop.index0 }}], n, past_caches);

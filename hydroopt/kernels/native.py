@@ -22,7 +22,7 @@ import numpy as np
 
 from hydroopt.kernels import c_writer, cache
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import FLAGS, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import FLAGS, LONG, Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.spatial.inertia import Array
 
@@ -32,6 +32,8 @@ SHARE = 4096
 """Number of samples per thread."""
 LANES = 8
 """Doubles in a cache line: as many samples as a kernel computes side by side at most."""
+PIECE = 2000
+"""Statements of long code that a compiler takes at a time, whose time grows faster than their number."""
 CACHED, RECYCLED = 2**20, 2**25
 """Bytes of results above which they are written past the caches, and above which memory is always fresh, thus zero."""
 
@@ -273,12 +275,16 @@ def source(made: Program) -> str:
         target=lambda name, k: (f"PUT(y{place[name]} + {k} * step{place[name]}, {{}});" if written[place[name]][k]
                                 else None),
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
+    long = sum(map(len, lines)) > LONG
+    pieces, passed = c_writer.in_pieces(lines, PIECE if long else len(lines) or 1)
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
 
     environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("kernel.c").render(
-        unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}), lines=lines,
+        # code that is long computes so much that where results go does not matter
+        ways=("here",) if long else ("here", "past"), pieces=pieces, passed=passed,
+        unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}),
         inputs=made.inputs, outputs=made.outputs, runs=[_runs(mask, of=True) for mask in written],
         gaps=[_runs(mask, of=False) for mask in written])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -89,6 +89,18 @@ def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
             scalar = Scalar(number, 0.0, areas[1], 0.01 * areas[0])
         found[number.name] = scalar
     return found
+
+
+def owners_with_confidence(machine: Machine, found: Mapping[str, Owned]) -> frozenset[str]:
+    """Owners of bodies of which the machine file states how well a number is known; for others it is assumed.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> machine = load_machine("panda_mukca")
+    >>> sorted(owners_with_confidence(machine, bodies(machine)))
+    []
+    """
+    return frozenset(owner for owner, owned in found.items()
+                     if any(note.sigma for path, note in machine.notes.items() if path.startswith(f"{owned.path}.")))
 
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:

@@ -21,6 +21,7 @@ from fixtures.pages import stands_alone, text_of
 from fixtures.tiers import tiered
 from hydroopt import Model, load_machine, read_log
 from hydroopt.cli import app
+from hydroopt.cli.excite import _basis
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.criteria import CRITERIA, presumed_noise
@@ -396,3 +397,10 @@ def test_processes_side_by_side_find_the_same(tmp_path: Path) -> None:
     assert found[0]["value"] == pytest.approx(found[1]["value"], abs=1e-9)
     for joint, coefficients in found[0]["coefficients"].items():
         np.testing.assert_allclose(coefficients, found[1]["coefficients"][joint], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("bandwidth", "harmonics", "blend"), [(None, 10, 2.0), (5.0, 10, 2.0), (0.5, 6, 4.0)])
+def test_motions_stay_well_below_the_bandwidth(bandwidth: float | None, harmonics: int, blend: float) -> None:
+    """Smoothing takes away what is near the bandwidth."""
+    basis = _basis(33.0, None, None, None, None, bandwidth)
+    assert (basis.harmonics, basis.blend) == (harmonics, blend)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,9 @@ import pytest
 from fixtures import library
 from fixtures.library import OK, SINGULAR, Library
 from fixtures.tiers import tiered
+from hydroopt import Model, load_machine
+from hydroopt.codegen import self_test
+from hydroopt.spatial.inertia import smallest_eigenvalue
 from oracles.complex_machine import ComplexMachine
 
 Array = np.ndarray
@@ -103,3 +107,12 @@ def test_a_machine_without_mass_gives_no_acceleration(subjects_of) -> None:
     empty = subject.lib.prepare({"psi": np.zeros(len(subject.values["psi"]))})
     status, _ = subject.lib.call("forward_dynamics", empty, subject.given, STATES)
     assert np.all(status == SINGULAR)
+
+
+def test_bodies_of_the_self_test_can_exist() -> None:
+    """Light arms once had masses below zero there, and forward dynamics no answer."""
+    model, rng = Model(load_machine("ur10")), np.random.default_rng(0)
+    interface = SimpleNamespace(complete=model, values={"psi": model.parameters.nominal})
+    for _ in range(8):
+        psi = self_test._possible(rng.uniform(-100, 100, len(model.parameters)), interface, rng)
+        assert min(smallest_eigenvalue(psi[body]) for body in model.parameters.bodies.values()) > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import logging
 import os
 import shutil
@@ -18,7 +19,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt.kernels import cache
+from hydroopt.kernels import cache, native
 from hydroopt.kernels import compiler as system
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, _kept, source
@@ -303,3 +304,18 @@ def test_a_compiler_that_fails_says_why_without_control_characters(folder: Path,
     monkeypatch.setenv("CC", script(folder, r"printf 'out of\n\033[2Jmemory' >&2; exit 1"))
     assert evaluated() == RIGHT
     assert "the kernel 'square' cannot be compiled (out of ?[2Jmemory)" in caplog.text
+
+
+def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values that pass between the pieces, and outputs that each of them writes."""
+    x = ca.SX.sym("x", 3)
+    terms = [ca.sin(x[k % 3] + k) * ca.cos(x[(k + 1) % 3] * k) for k in range(12)]
+    made = ca.Function("long", [x], [ca.vertcat(*(a * b + terms[0] for a, b in itertools.pairwise(terms)))])
+    at = np.random.default_rng(0).uniform(-1, 1, (2 * FEW + 3, 3))
+    (whole,) = Runner().over(made, at)
+    monkeypatch.setattr(native, "LONG", 100)
+    monkeypatch.setattr(native, "PIECE", 5)
+    assert "passed[1]" in source(program(made))
+    monkeypatch.setattr(native.cache, "folder", lambda: (_ for _ in ()).throw(OSError("not kept")))
+    (pieces,) = Runner().over(made, at)
+    np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-14)

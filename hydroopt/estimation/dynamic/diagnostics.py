@@ -13,6 +13,7 @@ from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.parameters.dynamic import owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.machine_diagnostics import machine_diagnostics
@@ -172,9 +173,8 @@ def _prior_conflict(found: Identification) -> Iterator[Diagnostic]:
 def _assumptions(found: Identification) -> Iterator[Diagnostic]:
     """Priors that were assumed, and priors that are too weak for a body."""
     model = found.problem.model
-    silent = tuple(owner for owner, owned in model.bodies.items()
-                   if not any(note.sigma for path, note in model.machine.notes.items()
-                              if path.startswith(f"{owned.path}.")))
+    stated = owners_with_confidence(model.machine, model.bodies)
+    silent = tuple(owner for owner in model.bodies if owner not in stated)
     if silent and found.uses_priors:
         yield Diagnostic(Kind.NO_CONFIDENCE_STATED, silent)
     growth = {body.owner: body.spread for body in found.problem.bodies if body.weight and body.spread > WEAK}

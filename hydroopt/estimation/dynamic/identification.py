@@ -29,7 +29,7 @@ from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
 from hydroopt.estimation.inference.priors import with_priors
 from hydroopt.machine.machine import Machine
-from hydroopt.parameters.dynamic import carried
+from hydroopt.parameters.dynamic import bodies, carried, owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.fit import Fit
 from hydroopt.spatial import inertia
@@ -220,8 +220,9 @@ class Identification:
 
 def body_groups(parameters: ParameterSet, machine: Machine) -> dict[str, tuple[str, ...]]:
     """Owners of bodies that may be wrong together: each alone, all links, all barrels and rods, those of the
-    calibrator, and all."""
-    owners = tuple(parameters.bodies)
+    calibrator, and all. Bodies of which the file states no confidence are left out: they cannot be wrong."""
+    stated = owners_with_confidence(machine, bodies(machine, calibrator=True))
+    owners = tuple(owner for owner in parameters.bodies if owner in stated)
     links = tuple(owner for owner in owners if owner in {link.name for link in machine.links})
     ends = tuple(owner for owner in owners if "." in owner)
     rest = tuple(owner for owner in owners if owner not in {*links, *ends})

@@ -21,6 +21,9 @@ from hydroopt.spatial.inertia import Array
 
 DEGREE = 5
 """Of the splines: acceleration and jerk are continuous."""
+SMOOTH = 4
+"""How many derivatives are continuous where a blend begins and ends, the position among them: a step of the jerk, which
+smoothing takes away, would stand out of the residuals of an accurate encoder."""
 
 
 class Rows(NamedTuple):
@@ -81,8 +84,8 @@ class Basis(ABC):
 class Fourier(Basis):
     """A mean and `harmonics` sines and cosines of `period` [s], repeated `repeats` times (Swevers et al. 1997).
 
-    Before and after it a polynomial of the fifth degree leads within `blend` [s] from rest at the mean into the series,
-    and back; without a blend it begins and ends in motion.
+    Before and after it a polynomial of the seventh degree leads within `blend` [s] from rest at the mean into the
+    series, and back; without a blend it begins and ends in motion.
     """
 
     period: float
@@ -116,8 +119,8 @@ class Fourier(Basis):
         series, start = self._series(2 * ca.pi * (turns - ca.floor(turns))), self._series(ca.DM(0))
         if self.blend <= 0:
             return series
-        entry = self._entry(_clamp(t, self.blend) / self.blend, start, 1)
-        leave = self._entry(_clamp(self.duration - t, self.blend) / self.blend, start, -1)
+        entry = self._entry(_clamp(t, self.blend) / self.blend, 1)
+        leave = self._entry(_clamp(self.duration - t, self.blend) / self.blend, -1)
         first, second, third = (a + b + c - 2 * d for a, b, c, d in zip(entry, series, leave, start, strict=True))
         return first, second, third
 
@@ -132,15 +135,25 @@ class Fourier(Basis):
         return ca.vertcat(1, sin, cos), ca.vertcat(0, cos * omega, -sin * omega), ca.vertcat(
             0, -sin * omega**2, -cos * omega**2)
 
-    def _entry(self, s: ca.SX, start: tuple[ca.SX, ...], sign: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _entry(self, s: ca.SX, sign: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """From rest at the mean (s = 0) into the state in which the series begins (s = 1); backwards for sign −1."""
-        T = self.blend
-        mean = ca.vertcat(1, ca.DM.zeros(2 * self.harmonics))
-        # p(s) = a·s³ + b·s⁴ + c·s⁵ has p = Δ, p' = v, p'' = w at s = 1
-        delta, v, w = start[0] - mean, sign * T * start[1], T**2 * start[2]
-        a, b, c = 10 * delta - 4 * v + w / 2, -15 * delta + 7 * v - w, 6 * delta - 3 * v + w / 2
-        return (mean + ((c * s + b) * s + a) * s**3, sign / T * ((5 * c * s + 4 * b) * s + 3 * a) * s**2,
-                ((20 * c * s + 12 * b) * s + 6 * a) * s / T**2)
+        multiple = np.arange(1, self.harmonics + 1)
+        # of mean, sines and cosines at the start of the series, order by order, from the mean and in units of the blend
+        start = np.array([[0.0, *(np.sin(order * np.pi / 2) * multiple**order),
+                           *(np.cos(order * np.pi / 2) * multiple**order)] for order in range(SMOOTH)])
+        start *= (sign * 2 * np.pi * self.blend / self.period) ** np.arange(SMOOTH)[:, None]
+        powers = range(SMOOTH, 2 * SMOOTH)
+        coefficients = np.linalg.solve([[float(perm(power, order)) for power in powers] for order in range(SMOOTH)],
+                                       start)
+        made = [ca.SX(ca.DM([1.0, *[0.0] * (2 * self.harmonics)])), ca.SX(1 + 2 * self.harmonics, 1),
+                ca.SX(1 + 2 * self.harmonics, 1)]
+        for order in range(3):
+            total = ca.SX(1 + 2 * self.harmonics, 1)
+            for power, c in zip(reversed(powers), reversed(coefficients), strict=True):
+                total = total * s + ca.sparsify(ca.DM(perm(power, order) * c))
+            made[order] += (sign / self.blend) ** order * total * s ** (SMOOTH - order)
+        first, second, third = made
+        return first, second, third
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ residual of the actuator forces is ``ε − A·S·n``: ε the noise of the force
 is linear once its weight is chosen, and A the derivative of the forces by the motion. Weighted least squares with
 weights W, regressor K and prior information Λ then errs by ``H⁻¹·(KᵀW·(ε − A·S·n) + prior's error)`` with
 ``H = KᵀWK + Λ``, whose covariance stands here. What the smoother takes away from the motion itself is a bias: it puts
-parameters off by a bias, ``−H⁻¹·KᵀW·A·(S − 1)·q``.
+parameters off by a bias, ``−H⁻¹·KᵀW·A·(S − 1)·q``. Where no sensor reads the joints, the motion is fitted to IMUs, and
+the residuals of one simulated log, by size and correlation time, stand in for the noise of forces and motion.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory, simulate
@@ -81,17 +82,20 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     (data,) = in_memory(problem.experiments, "the expected accuracy")
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
-    weight = (data.inside[:, None] & data.known) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
+    slow = np.where(stated, estimate.correlation_time, 1.0)
+    weight = (data.inside[:, None] & data.known) / (sigma**2 * slow)
     scale, basis = model.parameters.scale, np.array(structure.basis)
     K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * scale
     rows: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))
     pulled = K * weight[:, :, None]
-    # what the noise of each force and of each angle adds to KᵀW·residual, a column each
-    errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
+    read = angle_channels(model, log) <= log.channels.keys()
+    # what the noise of each force and of each angle adds to KᵀW·residual, a column each; residuals about a motion that
+    # is fitted to IMUs contain the errors of that motion
+    errors = [(pulled * (noise if read else sigma * np.sqrt(slow))[:, None]).reshape(-1, K.shape[2]).T]
     slopes = model.over(model.force_by_motion, motion.q, motion.qd, motion.qdd, psi)
     off = np.zeros((K.shape[2], 1))
-    angles = measured_angles(model, log)
-    for j, std in enumerate(angle_noise(model, log)):
+    angles = measured_angles(model, log) if read else motion.q
+    for j, std in enumerate(angle_noise(model, log) if read else ()):
         if std > 0:
             smooth = spline.fit(log.t, angles[:, j], float(std), machine.bandwidth)
             weighted = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]

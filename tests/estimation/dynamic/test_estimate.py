@@ -13,6 +13,7 @@ import pytest
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
+from hydroopt.estimation.dynamic.identification import body_groups
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.log_files import read_log
@@ -228,3 +229,10 @@ def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
     identify(problem, "wls").save(tmp_path)
     assert not (tmp_path / "cat215b.toml").exists()
     assert json.loads((tmp_path / "estimate.json").read_text())["method"] == "wls"
+
+
+@pytest.mark.parametrize(("name", "found"), [("panda_mukca", False), ("cat215b", True)])
+def test_bodies_without_a_stated_confidence_are_not_contradicted(name: str, found: bool) -> None:
+    """Sound simulated logs of an arm whose file states none named all its bodies as the cause of a misfit."""
+    machine = load_machine(name)
+    assert bool(body_groups(Model(machine).parameters, machine)) is found

@@ -32,13 +32,13 @@ def waves(basis: Fourier, t: Array, order: int) -> Array:
 
 
 def series(basis: Fourier, t: Array, order: int) -> Array:
-    """The series between two polynomials of the fifth degree from and to rest at the mean."""
+    """The series between two polynomials of the seventh degree from and to rest at the mean."""
     first, last = basis.blend, basis.blend + basis.repeats * basis.period
     made = waves(basis, t - first, order)
     if basis.blend:
-        edge = [waves(basis, np.zeros(1), k)[0] for k in range(3)]
+        edge = [waves(basis, np.zeros(1), k)[0] for k in range(4)]
         mean = np.eye(len(basis.names))[0]
-        still = [mean, 0 * mean, 0 * mean]
+        still = [mean, 0 * mean, 0 * mean, 0 * mean]
         entry = BPoly.from_derivatives([0, first], [still, edge])
         leave = BPoly.from_derivatives([last, last + basis.blend], [edge, still])
         made[t < first] = entry(t[t < first], order)

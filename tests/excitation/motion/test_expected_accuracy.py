@@ -178,3 +178,16 @@ def test_forces_without_stated_accuracy_are_presumed_to_have_noise() -> None:
         for drive in bare.drives)}))
     more = expected_accuracy(loud, random_trajectory(loud, duration=20, rate=50, seed=1), structural(loud))
     assert more.sigma[1] / said.sigma[1] == pytest.approx(10)
+
+
+@pytest.mark.slow
+def test_machines_without_joint_sensors_have_an_expected_accuracy() -> None:
+    """Designs on machines with IMUs alone were refused; nothing is added by angles that nothing reads."""
+    model = Model(load_machine("excavator_imu"))
+    driven = random_trajectory(model, duration=20, rate=50, seed=1)
+    said = expected_accuracy(model, driven, structural(model))
+    assert np.all(np.isfinite(said.sigma))
+    assert np.all(said.bias == 0)
+    known = np.isfinite(said.base)
+    assert np.mean(known) > 0.5
+    assert np.all(said.after <= said.before * (1 + 1e-9))

@@ -29,6 +29,7 @@ from hydroopt.logs.forces_from_pressures import force_channels
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.balances import Balance
 from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.parameters.dynamic import owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterKind
 
 
@@ -140,7 +141,8 @@ def _of_lengths(view: View, k: int) -> Iterator[Fault]:
 
 
 def _of_bodies(view: View) -> Iterator[Fault]:
-    owners = tuple(view.model.parameters.bodies)
+    stated = owners_with_confidence(view.model.machine, view.model.bodies)  # what is only assumed cannot be wrong
+    owners = tuple(owner for owner in view.model.parameters.bodies if owner in stated)
     ends = tuple(owner for owner in owners if "." in owner)
     links = tuple(owner for owner in owners if "." not in owner)
     groups = {"all bodies": owners, "all links": links, "all barrels and rods": ends}
