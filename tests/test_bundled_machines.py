@@ -24,7 +24,7 @@ from hydroopt.simulation.simulate import Trajectory, forces, random_trajectory, 
 from oracles.subjects import states
 
 MODELS = Path(__file__).parents[1] / "models"
-LONG = {"cat215b", "panda", "panda_mukca", "kr300", "ur10", "ur10e", "excavator_bucket"}
+LONG = {"cat215b", "panda", "panda_mukca", "kr300", "ur10", "ur10e"}
 """Machines with several parameter sets, valves or six joints and more, whose files may be longer than 150 lines."""
 UNACTUATED = {"panda_mukca"}
 """Machines that state geometry only: no bodies, so that nothing is to be identified from forces."""

@@ -71,7 +71,6 @@ def control(
     from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
     from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
-    from hydroopt.control.valve_test import valve_test
     from hydroopt.files import refuse_directory
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
@@ -95,8 +94,6 @@ def control(
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
-    if drawn:
-        valve_test(plant)  # and so is one whose valves cannot be tested
     log = read_log(motion, mapping=map_file)
     if misread := misread_error(model, log):
         raise misread

@@ -130,19 +130,24 @@ class Cascade:
 
         It has two kinds of states: the integral of each axis, and the filter of each actuator.
         """
-        gains, pole = self.gains, np.diag(self._pole)
-        a, m, n = len(pole), len(gains.position), len(point.q)
-        rest, along, shares = np.eye(a) - pole, self.axes.slopes(point.lever_arm), self.axes.shares(point.lever_arm)
-        slopes = self.valves.slopes(point.speed, point.length, point.pressure, point.supply)
-        regulated, by_speed = shares * gains.position, np.diag(slopes.speed)
-        to_feedback = np.hstack([-regulated @ along, -np.diag(gains.force), np.zeros((a, 1))])
-        to_integral = np.hstack([-np.diag(self.period / gains.integral_time) @ along, np.zeros((m, a + 1))])
-        by_integral = rest @ regulated
-        supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return LinearSystem(
-            np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
-            np.vstack([to_integral, rest @ to_feedback]),
-            by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, self.period,
-            (*(f"{name}.integral" for name in self.axes.names),
-             *(f"{each.actuator.name}.filtered" for each in self.axes.plant.actuators)),
-            readings(self.axes.plant), self.axes.plant.inputs)
+        return linear_feedback(self.axes, self.valves, self.gains, self.period, point)
+
+
+def linear_feedback(axes: Axes, valves: Valves, gains: Gains, period: float, point: Point) -> LinearSystem:
+    """What `Cascade.linear` returns, of any gains."""
+    pole = np.diag(np.exp(-period / np.maximum(gains.filter_time[axes.of], SHORTEST)))
+    a, m, n = len(pole), len(gains.position), len(point.q)
+    rest, along, shares = np.eye(a) - pole, axes.slopes(point.lever_arm), axes.shares(point.lever_arm)
+    slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
+    regulated, by_speed = shares * gains.position, np.diag(slopes.speed)
+    to_feedback = np.hstack([-regulated @ along, -np.diag(gains.force), np.zeros((a, 1))])
+    to_integral = np.hstack([-np.diag(period / gains.integral_time) @ along, np.zeros((m, a + 1))])
+    by_integral = rest @ regulated
+    supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
+    return LinearSystem(
+        np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
+        np.vstack([to_integral, rest @ to_feedback]),
+        by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, period,
+        (*(f"{name}.integral" for name in axes.names), *(f"{each.actuator.name}.filtered" for each in
+                                                         axes.plant.actuators)),
+        readings(axes.plant), axes.plant.inputs)

@@ -47,7 +47,7 @@ def draws(setting: Setting, count: int, *, progress: Progress = silent) -> tuple
         progress: receives the part that is done.
 
     Raises:
-        ProblemError: the machine cannot be tested so, see `valve_test`.
+        ProblemError: a drawn machine leaves its range in the test of its valves.
         SolverError: a plant could not be integrated.
     """
     plant, found = setting.plant, []

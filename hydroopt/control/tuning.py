@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.cascade import Gains
-from hydroopt.control.linear_system import LinearSystem
-from hydroopt.control.loop_margins import frequencies
+from hydroopt.control.cascade import Gains, linear_feedback
+from hydroopt.control.linear_system import LinearSystem, closed_loop
+from hydroopt.control.loop_margins import STANDING, frequencies
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
@@ -29,13 +30,16 @@ SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
 STEP = 0.15
+ENTRY = 10.0
+"""Position gains up to which a loop may be less robust than with a higher one, in parts of the plant's fastest growth:
+where a load lightens along the motion, errors of the position grow unless the gain is higher than that growth."""
 
 
 class _Loops:
     """Responses of the plant at all points, and of all loops with given gains."""
 
     def __init__(self, plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves) -> None:
-        self.period = plants[0].period
+        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].period
         omega = frequencies(self.period)
         self.z = np.exp(1j * omega * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
@@ -46,6 +50,19 @@ class _Loops:
         self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ response[:, :, :n]
         self.force = to_speed * response[:, :, n:-1]
         self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * response[:, :, -1:]
+
+    @cached_property
+    def growth(self) -> float:
+        """Of errors that grow steadily without feedback, at the point where they do so fastest [1/s]; zero if none do.
+        """
+        return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
+                   (plant.poles for plant in self.plants))
+
+    def stable(self, gains: Gains) -> bool:
+        """Whether errors die away at every point with all loops closed."""
+        return all(_growth(closed_loop(plant, linear_feedback(
+            self.axes, self.valves, gains, self.period, point)).poles, self.period) <= 0
+                   for plant, point in zip(self.plants, self.points, strict=True))
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
         """Responses from positions to speeds of the axes (ω, m), and from forces to speeds of the actuators (ω, a)."""
@@ -106,6 +123,12 @@ class _Loop(NamedTuple):
         return float(1 / np.min(_least_singular_value(np.eye(len(self.scale)) - loop)))
 
 
+def _growth(poles: Array, period: float) -> float:
+    """Of the fastest of a sampled system's states that grow [1/s]; zero where none does."""
+    moving = np.abs(poles[np.abs(poles - 1) >= STANDING])
+    return float(np.log(np.max(moving, initial=1.0)) / period)
+
+
 def _least_singular_value(matrix: Array) -> Array:
     """Of square matrices (..., g, g); of small ones in closed form, since tuning asks for millions."""
     match matrix.shape[-1]:
@@ -127,7 +150,8 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     Each axis in turn, with all other loops closed, gets the force gain that admits the highest position gain. Several
     actuators of a joint get the same part of what each can do, and zero where a force is not measured. The limits that
     the sensitivity sets to the margins are those of Åström and Hägglund 2006: a gain margin of at least M/(M − 1) and a
-    phase margin of at least 2·arcsin(1/(2·M)).
+    phase margin of at least 2·arcsin(1/(2·M)). Where a load lightens along the motion, an open valve lets errors of the
+    position grow: such a loop is stable with high gains only, so that low ones may be less robust (`ENTRY`).
 
     Args:
         plants: sampled, with delays, at each point.
@@ -141,7 +165,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     """
     loops = _Loops(plants, points, valves)
     axes, full = loops.axes, np.where(loops.axes.measured, valves.speed_per_force, 0.0)
-    m = len(axes.names)
+    m, entry = len(axes.names), ENTRY * loops.growth
     gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
 
     def robust(k: int, position: float, part: float, filter_time: float) -> bool:
@@ -160,10 +184,16 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
                     # upwards step by step, since the sensitivity may be low again beyond instability
                     if not robust(k, 0.0, part, filter_time):
                         break
-                    position = SLOWEST_LOOP
-                    while robust(k, position, part, filter_time):
-                        best = max(best, (position, part, filter_time))
+                    position, passed = SLOWEST_LOOP, list[float]()
+                    while (one := robust(k, position, part, filter_time)) or position < entry:
+                        passed += [position] if one else []
                         position *= 1 + STEP
+                    for position in reversed(passed):
+                        if (position, part, filter_time) <= best:
+                            break
+                        if sweep < SWEEPS - 1 or (robust(k, position, part, filter_time) and loops.stable(gains)):
+                            best = (position, part, filter_time)
+                            break
             if best[0] <= 0:
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
                                    where="control", remedy="raise --rate, or allow a higher --sensitivity")

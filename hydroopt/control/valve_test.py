@@ -1,4 +1,4 @@
-"""A test of valves: each actuator in turn, in steps of its command, turned back before its joint reaches a limit."""
+"""A test of valves: each joint in turn, in steps of its valve's command, turned back before it reaches a limit."""
 
 from __future__ import annotations
 
@@ -26,26 +26,32 @@ SLEW = 6.0
 MARGIN = 0.1
 """Part of its range that a joint keeps from either end."""
 SECONDS = 10.0
-"""For each actuator."""
+"""For each actuator; for all that move one joint together."""
+HEAVIER = 1.3
+"""How much heavier than known a machine may be that a test brakes in time."""
 WINDOW = 0.1
 """Time [s] over which a joint's speed is taken from its readings."""
 
 
 class Step(NamedTuple):
-    """One step of a test: an actuator's command, as a part of a full one, and for how long [s] it is held."""
+    """One step of a test: the actuators of one joint, the command as a part of a full one, and for how long [s] it is
+    held."""
 
-    actuator: str
+    actuators: tuple[str, ...]
     opening: float
     seconds: float
 
 
 @dataclass(frozen=True, eq=False)
 class ValveTest:
-    """Steps of commands for one actuator after the other, each the other way than the one before.
+    """Steps of commands for one joint after the other, each the other way than the one before.
 
-    A joint that would come nearer than `MARGIN` of its range to an end of it, at its speed and within the time that its
-    valve takes to shut, is turned back at once. Which way it goes is therefore not known before: what is stated are the
-    steps and the limits. All other valves are shut meanwhile.
+    Several actuators of a joint cannot move alone while the others are shut. They are driven together: each valve opens
+    by the part that its actuator's lever arm is of the longest one, the other way where that is negative.
+
+    A joint that would come nearer than `MARGIN` of its range to an end of it is turned back at once: at its speed,
+    within the time that its valve takes to shut and the way that its relief valves need to brake it. Which way it goes
+    is therefore not known before: what is stated are the steps and the limits. All other valves are shut meanwhile.
 
     Attributes:
         plant: the machine as it is known.
@@ -57,7 +63,7 @@ class ValveTest:
         >>> plant = ho.Plant(ho.load_machine("patu655_lift"))
         >>> test = valve_test(plant)
         >>> test.steps[0]
-        Step(actuator='lift_cylinder', opening=1.0, seconds=0.5)
+        Step(actuators=('lift_cylinder',), opening=1.0, seconds=0.5)
         >>> round(test.duration)
         10
     """
@@ -84,13 +90,35 @@ class ValveTest:
             turns = machine.channel_units[f"{joint}.q"] == "rad"
             ends = [f"{np.degrees(end):.1f} deg" if turns else f"{end:.3f} m" for end in (lower, upper)]
             lines.append(f"{joint}: from {ends[0]} to {ends[1]}")
-        lines += ["", f"{'actuator':<24}{'command':>10}{'time':>8}"]
-        lines += [f"{step.actuator:<24}{100 * step.opening:>8.0f} %{step.seconds:>6.1f} s" for step in self.steps]
+        middle = (self.lower + self.upper) / 2
+        for joint, places in self.plant.drivers.items():
+            if len(places) > 1:
+                names = [self.plant.actuators[k].actuator.name for k in places]
+                parts = [f"{name} {100 * part:.0f} %" for name, part in zip(names, self.opened(middle, joint),
+                                                                            strict=True)]
+                lines += ["", f"{' and '.join(names)} move {joint}: neither moves while the other is shut, and they",
+                          "are driven together. Each valve takes the part of the command that its lever arm is of the",
+                          "longest one, the other way where they oppose each other. In the middle of the limits:",
+                          f"{', '.join(parts)}. Flows and leaks of each show in its own pressures;",
+                          "their friction separates only as far as their lever arms differ."]
+        wide = max(24, 2 + max(len(" and ".join(step.actuators)) for step in self.steps))
+        lines += ["", f"{'actuator':<{wide}}{'command':>10}{'time':>8}"]
+        lines += [f"{' and '.join(step.actuators):<{wide}}{100 * step.opening:>8.0f} %{step.seconds:>6.1f} s"
+                  for step in self.steps]
         return "\n".join(lines) + "\n"
 
     def table(self) -> str:
-        """The steps as a CSV table: actuator, part of a full command, seconds."""
-        return csv_text([step._asdict() for step in self.steps])
+        """The steps as a CSV table: actuators, part of a full command, seconds."""
+        return csv_text([{"actuator": " and ".join(step.actuators), "opening": step.opening, "seconds": step.seconds}
+                         for step in self.steps])
+
+    def opened(self, q: Array, joint: str) -> Array:
+        """Openings (g,) of the valves of a joint's actuators in a posture (n,), as parts of the widest; their signs are
+        those with which the first one extends in the middle of the limits."""
+        places, column = list(self.plant.drivers[joint]), self.plant.machine.joints.index(joint)
+        middle = (self.lower + self.upper) / 2
+        lever, usual = (self.plant.transmission(at).full()[places, column] for at in (q, middle))
+        return np.asarray(np.sign(usual[0]) * lever / np.max(np.abs(lever)))
 
     @cached_property
     def stopping(self) -> Array:
@@ -104,6 +132,19 @@ class ValveTest:
         return np.array(found)
 
 
+    def braking(self, q: Array, joint: int, way: float) -> float:
+        """Deceleration [rad/s² or m/s²] of a joint that moves up (1) or down (-1) in a posture (n,): what its actuators
+        make of their relief pressure, the machine `HEAVIER` than known. Infinite where no relief valve opens."""
+        plant, psi = self.plant, self.plant.model.parameters.nominal
+        places = plant.drivers[plant.machine.joints[joint]]
+        levers = plant.transmission(q).full()[:, joint]
+        most = [abs(levers[k]) * each.areas[int(levers[k] * way > 0)] * (each.actuator.relief_pressure or np.inf)
+                for k, each in ((k, plant.actuators[k]) for k in places)]
+        load = float(way * plant.model.gravity_torques(q, psi).full()[joint, 0])
+        mass = float(plant.mass(q, psi).full()[joint, joint])
+        return max(0.0, float(sum(most)) + load * (HEAVIER if load < 0 else 1.0)) / (HEAVIER * mass)
+
+
 def valve_test(plant: Plant, *, seconds: float = SECONDS) -> ValveTest:
     """A test of all valves of a machine.
 
@@ -112,26 +153,21 @@ def valve_test(plant: Plant, *, seconds: float = SECONDS) -> ValveTest:
         seconds: for each actuator.
 
     Raises:
-        ProblemError: the test is too short for the openings that tell valves apart, or several valves move one joint.
+        ProblemError: the test is too short for the openings that tell valves apart.
     """
     machine = plant.machine
-    for joint, places in plant.drivers.items():
-        if len(places) > 1:
-            names = " and ".join(plant.actuators[k].actuator.name for k in places)
-            raise ProblemError(f"{names} both move {joint}, so that neither can be tested while the other is shut",
-                               where=machine.name, remedy="log a motion that drives them together, by 'simulate "
-                               "--driven' or on the machine")
     pairs = [(opening, LONGEST + (SHORTEST - LONGEST) * opening) for opening in OPENINGS for _ in range(2)]
     least = sum(hold for _, hold in pairs)
     if seconds < least:
         raise ProblemError(f"a test of {seconds:g} s for each actuator does not cover all openings", where="valve test",
                            remedy=f"give {np.ceil(least):.0f} s or more")
     steps = []
-    for each in plant.actuators:
+    for places in sorted(plant.drivers.values()):
+        names = tuple(plant.actuators[place].actuator.name for place in places)
         left, k = seconds, 0
         while left > 1e-9:
             opening, hold = pairs[k % len(pairs)]
-            steps.append(Step(each.actuator.name, opening, min(hold, left)))
+            steps.append(Step(names, opening, min(hold, left)))
             left, k = left - hold, k + 1
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
     kept = MARGIN * (upper - lower)
@@ -147,8 +183,7 @@ class StepDriver:
         self.neutral = np.array([each.valve.neutral for each in plant.actuators])
         self.span = np.array([each.valve.span for each in plant.actuators])
         self._ends = np.cumsum([step.seconds for step in test.steps])
-        self._joints = [next(i for i, joint in enumerate(plant.machine.joints) if k in plant.drivers.get(joint, ()))
-                        for k in range(len(plant.actuators))]
+        self._joints = {tuple(self.names[k] for k in places): joint for joint, places in plant.drivers.items()}
         self._window = max(1, round(WINDOW / period))
         self._opening, self._way, self._step = np.zeros(len(self.names)), 1.0, 0
         self._before: list[Array] = []
@@ -160,17 +195,20 @@ class StepDriver:
         if now != self._step:
             self._step, self._way = now, -self._way
         step = test.steps[now]
-        active = self.names.index(step.actuator)
-        joint = self._joints[active]
+        name = self._joints[step.actuators]
+        active, joint = list(test.plant.drivers[name]), test.plant.machine.joints.index(name)
         self._before = [*self._before[-self._window:], q]
         speed = (q[joint] - self._before[0][joint]) / (self.period * max(1, len(self._before) - 1))
-        reach = q[joint] + speed * test.stopping[active]
+        brakes = test.braking(q, joint, np.sign(speed))
+        reach = q[joint] + speed * np.max(test.stopping[active]) + (speed * abs(speed) / (2 * brakes) if brakes else
+                                                                     np.copysign(np.inf, speed))
         # a cylinder that extends may lower its joint
-        side = np.sign(test.plant.transmission(q).full()[active, joint])
+        opened, levers = test.opened(q, name), test.plant.transmission(q).full()[active, joint]
+        side = np.sign(opened @ levers)
         if reach > test.upper[joint] if self._way * side > 0 else reach < test.lower[joint]:
             self._way = -self._way
         wanted = np.zeros(len(self.names))
-        wanted[active] = self._way * step.opening
+        wanted[active] = self._way * step.opening * opened
         change = SLEW * self.period
         self._opening = self._opening + np.clip(wanted - self._opening, -change, change)
         return np.asarray(self.neutral + self.span * self._opening)

@@ -18,6 +18,9 @@ REPEATED, EVEN, OFTEN = 3, 5, 0.9
 """Samples from one change of a repeated channel to the next, at least; those from which on they may differ by one; and
 the share of changes that are so even."""
 _WINDOW = 25  # samples of the running median: spikes up to 12 samples wide stand out
+FINEST = {"m": 1e-6, "rad": 1e-6, "Pa": 100.0}
+"""Steps that the finest instruments of machines resolve, by unit: magnetostrictive transducers, encoders of 22 bits,
+16 bits of 60 bar."""
 _USUAL = 1.96 / 6  # 95th percentile of residuals, as a part of the greatest one that is usual
 
 
@@ -96,12 +99,13 @@ def jitter(t: Array) -> Mask:
     return np.concatenate([[False], off]) & ~gaps(t)
 
 
-def spikes(x: Array) -> Mask:
+def spikes(x: Array, finest: float = 0.0) -> Mask:
     """Samples far off the running median, both against the channel's usual residual and against their window.
 
     The first test (6 robust sigma, from the 95th percentile of the residual) keeps noise quiet, the second (8
     local sigma, from the median deviation in the window less its slope) keeps sharp but real motion quiet. A
-    spike extends by up to 3 samples on each side that stand off by 2 robust sigma.
+    spike extends by up to 3 samples on each side that stand off by 2 robust sigma. What is smaller than the `finest`
+    step of such an instrument is none: without noise, as in simulated logs, the smallest true shock stands out.
     """
     mask = np.zeros(x.size, bool)
     if x.size < _WINDOW:
@@ -112,7 +116,9 @@ def spikes(x: Array) -> Mask:
     # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
     if np.count_nonzero(residual >= worst * _USUAL) >= x.size - int(0.95 * (x.size - 1)):
         return mask
-    usual = float(np.quantile(residual, 0.95)) / _USUAL
+    if worst <= finest:
+        return mask
+    usual = max(finest, float(np.quantile(residual, 0.95)) / _USUAL)
     if 2e-3 * np.ptp(x) > usual:
         low, high = np.quantile(x, [0.01, 0.99])
         usual = max(usual, 2e-3 * float(high - low))

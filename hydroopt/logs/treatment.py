@@ -193,7 +193,9 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name)) & present[name]
                for name, x in joined.items()}
     level = {name: mask & ~clipped[name] & present[name] for name, mask in find.stuck(sensed, samples.whole).items()}
-    spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] & present[name] for name, x in sensed.items()}
+    finest = {name: find.FINEST.get(si_unit(name), 0.0) for name in sensed}
+    spiky = {name: find.spikes(x, finest[name]) & ~clipped[name] & ~level[name] & present[name]
+             for name, x in sensed.items()}
     texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
         ("saturated", clipped, _at_limit(samples, limits)),
         ("stuck", level, lambda name, mask: "rest at one value while other channels move"),

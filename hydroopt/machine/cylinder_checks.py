@@ -260,6 +260,23 @@ def _axis_hint(machine: Machine, joint: str, sides: Triangle) -> str:
     return ""
 
 
+def straight_and_wide(machine: Machine) -> tuple[tuple[str, float], ...]:
+    """Cylinders that alone, pinned to its link itself, turn a joint by more than `WIDE`; each with that range [rad].
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> straight_and_wide(load_machine("excavator_bucket"))
+    ()
+    """
+    geometry, found = Geometry(machine), []
+    for cylinder in machine.cylinders:
+        triangle = geometry.triangle(cylinder)
+        if triangle and triangle[0] in machine.joints and len(machine.drivers[triangle[0]]) == 1:
+            lower, upper = machine.link(triangle[0]).joint.range
+            if upper - lower > WIDE + 1e-9:
+                found.append((cylinder.name, upper - lower))
+    return tuple(found)
+
+
 def _rocker_hint(machine: Machine, joint: str) -> str:
     """What else may be wrong of a cylinder that is pinned to a link itself: a rocker and a coupler stand between."""
     for closure in closures(machine.links, machine.loops, machine.couplings):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -32,6 +32,24 @@ BranchedAssembly = DyadAssembly | SliderAssembly
 NEAR, WITHIN = 0.5, np.radians(45.0)
 """A posture tells how a loop is assembled if it is nearer to one of the two ways than this part of the distance to the
 other, and than this angle [rad]."""
+
+
+class Branch(NamedTuple):
+    """How clearly a posture states in which of two ways a loop is assembled.
+
+    Attributes:
+        loop: its name.
+        joint: that of the stated dependent joints that is farthest from where it stands in the way that is taken.
+        near, far: greatest distances [rad, or m of a joint that slides] of the stated positions from the way that is
+            taken and from the other one.
+        stands: the way that is taken, in words.
+    """
+
+    loop: str
+    joint: str
+    near: float
+    far: float
+    stands: str
 
 
 class Mechanism:
@@ -119,10 +137,8 @@ def _assembled(before: Mechanism, geometry: Geometry, closure: Closure) -> Assem
     match closure:
         case LinearClosure():
             return LinearAssembly(closure)
-        case DyadClosure():
-            return _nearest(before, geometry, (DyadAssembly(closure, 1), DyadAssembly(closure, -1)))
-        case SliderClosure():
-            return _nearest(before, geometry, (SliderAssembly(closure, 1), SliderAssembly(closure, -1)))
+        case DyadClosure() | SliderClosure():
+            return _compared(before, geometry, closure)[0]
         case GeneralClosure():
             return _tracked(before, geometry, closure)
 
@@ -146,28 +162,47 @@ def _tracked(before: Mechanism, geometry: Geometry, closure: GeneralClosure) -> 
     return _KNOWN[key]
 
 
-def _nearest(before: Mechanism, geometry: Geometry, ways: tuple[BranchedAssembly, BranchedAssembly]) -> Assembly:
-    """The way of assembling a loop that comes nearer to its stated posture."""
-    closure, loop = ways[0].closure, ways[0].closure.loop
+def _ways(closure: DyadClosure | SliderClosure) -> tuple[BranchedAssembly, BranchedAssembly]:
+    """Both ways to assemble a loop."""
+    if isinstance(closure, DyadClosure):
+        return DyadAssembly(closure, 1), DyadAssembly(closure, -1)
+    return SliderAssembly(closure, 1), SliderAssembly(closure, -1)
+
+
+def branches(machine: Machine) -> tuple[Branch, ...]:
+    """How clearly postures state in which of two ways loops are assembled, for every loop that has two.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> found, = branches(load_machine("excavator_bucket"))
+    >>> found.loop, found.joint, round(float(np.degrees(found.near))), round(float(np.degrees(found.far)))
+    ('bucket_linkage', 'rocker', 0, 91)
+    """
+    mechanism, geometry = Mechanism(machine), Geometry(machine)
+    return tuple(_compared(mechanism, geometry, each.closure)[1] for each in mechanism.assemblies
+                 if isinstance(each, DyadAssembly | SliderAssembly))
+
+
+def _compared(before: Mechanism, geometry: Geometry,
+              closure: DyadClosure | SliderClosure) -> tuple[BranchedAssembly, Branch]:
+    """The way of assembling a loop that comes nearer to its stated posture, and how clearly it does."""
+    loop, ways, machine = closure.loop, _ways(closure), geometry.machine
     posture, where = before.posture(closure), f"{place(loop)}.posture"
     stated = [joint for joint in closure.joints if joint in posture]
     q = before.positions(geometry, {joint: ca.DM(posture[joint]) for joint in closure.follows})
-    at = said_posture(geometry.machine, {joint: posture[joint] for joint in closure.follows})
+    at = said_posture(machine, {joint: posture[joint] for joint in closure.follows})
     turned = [{joint: float(value) for joint, value in way.solved(geometry, q).positions.items()} for way in ways]
     if not all(np.isfinite(value) for found in turned for value in found.values()):
         raise ImpossibleError(f"the loop '{loop.name}' cannot close in its own posture, {at}: "
                               f"{ways[0].why_open(geometry, q)}", "correct its pins and lengths, or the posture", where)
-    away = [[apart(geometry.machine, joint, found[joint], posture[joint]) for joint in stated]
-             for found in turned]
+    away = [[apart(machine, joint, found[joint], posture[joint]) for joint in stated] for found in turned]
     best = 0 if max(away[0]) <= max(away[1]) else 1
-    beyond = any(distance > WITHIN for joint, distance in zip(stated, away[best], strict=True)
-                 if turns(geometry.machine, joint))
-    if max(away[best]) > NEAR * max(away[1 - best]) or beyond:
-        stands = " or ".join(said_posture(geometry.machine, {joint: found[joint] for joint in stated})
-                             for found in turned)
+    beyond = any(distance > WITHIN for joint, distance in zip(stated, away[best], strict=True) if turns(machine, joint))
+    near, far = max(away[best]), max(away[1 - best])
+    stands = [said_posture(machine, {joint: found[joint] for joint in stated}) for found in turned]
+    if near > NEAR * far or beyond:
         raise ImpossibleError(f"the posture of '{loop.name}' is not near one of the two ways to assemble it: at {at} "
-                              f"stands {stands}", "state the one that the machine has", where)
-    return ways[best]
+                              f"stands {' or '.join(stands)}", "state the one that the machine has", where)
+    return ways[best], Branch(loop.name, stated[int(np.argmax(away[best]))], near, far, stands[best])
 
 
 def _refuse_posture(closure: Closure, posture: Mapping[str, float]) -> None:

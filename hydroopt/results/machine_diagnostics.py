@@ -6,6 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hydroopt.machine.cylinder_checks import straight_and_wide
+from hydroopt.machine.mechanism import branches
+from hydroopt.machine.posture import turns
 from hydroopt.machine.unmeasured_joints import unmeasured_joints
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
@@ -18,6 +21,8 @@ ROUNDED = 1e-6
 """Smallest eigenvalue of a pseudo-inertia, as a part of its trace, that rounded numbers of a point mass may give."""
 POSTURES = 8
 """Postures in which gravity is computed."""
+CLEAR = 0.25
+"""A posture states clearly how a loop is assembled up to this part of its distance to the other way."""
 
 
 def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
@@ -27,7 +32,8 @@ def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
     >>> machine_diagnostics(ho.Model(ho.load_machine("cat215b")))
     ()
     """
-    return (*_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model), *implausible_sizes(model))
+    return (*_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model), *implausible_sizes(model),
+            *_straight_cylinders(model), *_unclear_postures(model))
 
 
 def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
@@ -57,3 +63,17 @@ def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
     torques = [np.array(model.gravity_torques(q, nominal)) for q in postures]
     if np.abs(torques).max() < 1e-6 * weight:  # a micrometre of lever arm
         yield Diagnostic(Kind.GRAVITY_IDLE, machine.joints)
+
+
+def _straight_cylinders(model: Model) -> Iterator[Diagnostic]:
+    for name, width in straight_and_wide(model.machine):
+        yield Diagnostic(Kind.STRAIGHT_CYLINDER, (name,), {"range_deg": float(np.degrees(width))})
+
+
+def _unclear_postures(model: Model) -> Iterator[Diagnostic]:
+    machine = model.machine
+    for each in branches(machine):
+        if each.near > CLEAR * each.far:
+            near, far = ((f"{np.degrees(away):.1f} deg" if turns(machine, each.joint) else f"{away:.3f} m")
+                         for away in (each.near, each.far))
+            yield Diagnostic(Kind.BETWEEN_BRANCHES, (each.loop,), {"near": near, "far": far, "stands": each.stands})

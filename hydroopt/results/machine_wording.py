@@ -20,4 +20,12 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "any log.",
         "For {subject}, {remedy}."),
     Kind.IMPLAUSIBLE_SIZE: Words("{subject} is {size}, but {usual}.", "{remedy}"),
+    Kind.STRAIGHT_CYLINDER: Words(
+        "{subject} is pinned to the link itself and turns it by {range_deg:.0f} deg. Where a joint turns as far, a "
+        "rocker and a coupler mostly stand between; left out, they make lever arms wrong by up to a fifth.",
+        "If the machine has them, state them by [[linkages]] and pin the rod to the rocker."),
+    Kind.BETWEEN_BRANCHES: Words(
+        "The posture of {subject} lies between the two ways to assemble it: {near} from the one that is taken and "
+        "{far} from the other.",
+        "State the posture of the machine more closely: {stands}."),
 }

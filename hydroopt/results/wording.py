@@ -43,6 +43,8 @@ class Kind(StrEnum):
     GRAVITY_IDLE = "gravity does no work"
     UNMEASURED_JOINT = "forces at a joint not measured"
     IMPLAUSIBLE_SIZE = "implausible size"
+    STRAIGHT_CYLINDER = "a cylinder without a linkage turns a joint far"
+    BETWEEN_BRANCHES = "a posture lies between two ways to assemble a loop"
 
     # a log against its machine, before any fit
     LOG_MISREAD = "log misread"

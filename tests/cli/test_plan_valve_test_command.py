@@ -47,7 +47,6 @@ def test_bodies_and_valves_are_identified_from_one_test(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (("plan-valve-test", "cat215b", "--per-actuator", "2"), "does not cover all openings; give 10 s or more"),
-    (("plan-valve-test", "backhoe"), "both move swing, so that neither can be tested"),
     (("plan-valve-test", "kr300"), "driven directly, not by oil"),
     (("simulate", "cat215b", "--valve-test", "--duration", "3"), "has steps of its own")])
 def test_what_cannot_be_is_said(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:

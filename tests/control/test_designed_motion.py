@@ -49,8 +49,8 @@ def test_a_motion_at_the_limit_of_the_pump_is_accepted_at_any_rate_of_the_contro
         refuse_flow(plant, faster)
 
 
-COMPLETE = ("backhoe", "cat215b", "cat215b_bucket", "cat215b_link4", "forestry_crane", "patu655_lift",
-            "tampere_manipulator")
+COMPLETE = ("backhoe", "cat215b", "cat215b_bucket", "cat215b_link4", "excavator_bucket", "forestry_crane",
+            "mini_excavator", "patu655_lift", "tampere_manipulator", "wheel_loader")
 """Bundled machines that state valves for all that moves them, and their supply."""
 OPTIONS = {"patu655_lift": ("--rate", "200")}
 """What a machine's refusal asks for, of loops that are hardly damped at the rate of its sensors."""
@@ -86,10 +86,7 @@ def test_the_limit_of_a_valve_is_where_it_is_fully_open(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name if name != "tampere_manipulator" else pytest.param(name, marks=pytest.mark.xfail(
-    strict=True, reason="valves accept it; with the lift upright a slow mode of the loaded machine, 0.08 1/s, stays "
-    "unstable in the closed loop"))
-    for name in COMPLETE])
+@pytest.mark.parametrize("name", COMPLETE)
 def test_what_excite_designs_of_a_bundled_machine_control_accepts(name: str, tmp_path: Path) -> None:
     designed = CliRunner().invoke(app, ["excite", name, "-o", str(tmp_path / "drive"), "--starts", "1", "--quiet",
                                         "--processes", "1"])

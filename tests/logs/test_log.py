@@ -201,6 +201,16 @@ def test_clean_logs_raise_no_alarm(tmp_path, seed, noisy):
     assert read_log(stored(columns, tmp_path)).findings == ()
 
 
+@pytest.mark.parametrize(("shock", "found"), [(4e-7, 0), (5e-6, 1)])
+def test_what_no_instrument_resolves_is_no_spike(tmp_path, shock, found):
+    """A simulated length without noise, whose oil gives way by micrometres as another cylinder starts and stops."""
+    t = np.arange(2000) / 100
+    length = 0.8 + 2e-6 * np.sin(0.7 * t) + 1e-9 * np.sin(40 * t)
+    length[[700, 1300]] += shock
+    log = read_log(stored({"t [s]": t, "a.length [m]": length, "b.q [rad]": np.sin(t)}, tmp_path))
+    assert len(log.findings) == found
+
+
 def test_stuck_saturated_and_spiky_sensors_are_found(tmp_path):
     columns = made()
     columns["a.q [rad]"][400:500] = columns["a.q [rad]"][400]

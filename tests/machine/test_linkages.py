@@ -182,10 +182,28 @@ def test_what_cannot_be_is_refused_with_its_place(text, where, what):
 
 
 def test_a_cylinder_pinned_past_its_linkage_is_sent_to_the_rocker():
-    past = digger('rod = { link = "rocker", pin = ["0.9 m"', 'rod = { link = "bucket", pin = ["0.3 m"')
+    past = digger('rod = { link = "rocker", pin = ["0.9 m"', 'rod = { link = "bucket", pin = ["0.3 m"',
+                  LINKS + LOOP + ACTUATORS)
     with pytest.raises(MachineError) as caught:
         read_machine(past)
     assert caught.value.remedy.endswith("or pin it to 'rocker' of the linkage 'four_bar'")
+
+
+def test_a_linkage_that_its_cylinder_passes_by_is_refused_where_the_stroke_suffices():
+    """The cylinder on the bucket itself closes and has the stroke; nothing but the idle linkage gives it away."""
+    links = digger('lower = "-120 deg"', 'lower = "-70 deg"', LINKS)
+    straight = digger('link = "rocker", pin = ["0.9 m", "0 m"', 'link = "bucket", pin = ["-0.3 m", "0.5 m"', ACTUATORS)
+    straight = straight.replace('"1.9 m"', '"1.0 m"').replace('"1.3 m"', '"3 m"')
+    read_machine(links + straight)
+    past = links + LINKAGE + straight
+    with pytest.raises(MachineError) as caught:
+        read_machine(past)
+    assert caught.value.where.endswith("linkages[four_bar]")
+    assert "'bucket_cylinder' is pinned to 'bucket' itself, past the linkage" in caught.value.what
+    assert caught.value.remedy.startswith("pin the cylinder to 'rocker'")
+    carries = past + '[[springs]]\nname = "helper"\nbarrel = { link = "stick", pin = ["0.1 m", "0.8 m", "0 m"] }\n' \
+        'rod = { link = "rocker", pin = ["0.9 m", "0 m", "0 m"] }\nstiffness = "1 kN/m"\nreference_length = "0.5 m"\n'
+    read_machine(carries)  # a linkage that carries something is none of these
 
 
 @pytest.mark.slow

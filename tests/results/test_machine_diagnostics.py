@@ -1,11 +1,14 @@
 """Nominal bodies that no body can be, and gravity without effect, are said wherever a machine file is used."""
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
 from hydroopt.machine.machine_file import bundled, dump_machine
+from hydroopt.machine.mechanism import branches
+from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
@@ -63,3 +66,45 @@ def test_show_warns_of_gravity_that_does_no_work(tmp_path) -> None:
     output = " ".join(CliRunner().invoke(app, ["show", str(tmp_path / "crane.toml")]).output.split())
     assert "! Gravity does no work on any joint (slew)" in output
     assert 'orientation = ["90 deg", "0 deg", "0 deg"]' in output
+
+
+BUCKET = """
+name = "digger"
+[[links]]
+name = "bucket"
+joint = { type = "revolute", a = "1 m", lower = "-65 deg", upper = "LIMIT" }
+[[cylinders]]
+name = "bucket_cylinder"
+bore = "100 mm"
+rod_diameter = "60 mm"
+dead_length = "0.8 m"
+stroke = "1.7 m"
+barrel = { link = "base", pin = ["0 m", "-1.5 m", "0 m"] }
+rod = { link = "bucket", pin = ["0.8 m", "0 m", "0 m"] }
+"""
+
+
+@pytest.mark.parametrize(("limit", "wide"), [("54 deg", False), ("58 deg", True)])
+def test_a_straight_cylinder_that_turns_its_joint_far_is_named(limit: str, wide: bool) -> None:
+    found = of_kind(machine_diagnostics(ho.Model(ho.read_machine(BUCKET.replace("LIMIT", limit)))),
+                    Kind.STRAIGHT_CYLINDER)
+    assert len(found) == wide
+    assert all("bucket_cylinder is pinned to the link itself and turns it by 123 deg" in each.text for each in found)
+
+
+@pytest.mark.parametrize(("off", "named"), [(0.0, False), (0.15, False), (0.24, True), (0.3, True)])
+def test_a_posture_between_two_ways_of_assembly_is_named_with_its_margin(off: float, named: bool) -> None:
+    """The rocker of excavator_bucket stands at 80.0 deg or, the other way, 90.9 deg from there."""
+    machine = ho.load_machine("excavator_bucket")
+    (branch,) = branches(machine)
+    taken, other = (np.degrees(each) for each in (branch.near, branch.far))
+    stated = 80.0 - off * (other - taken)
+    loop = next(each for each in machine.loops if each.name == "bucket_linkage")
+    moved = machine.model_copy(update={"loops": tuple(
+        each.model_copy(update={"posture": each.posture | {"rocker": np.radians(stated)}}) if each is loop else each
+        for each in machine.loops)})
+    found = machine_diagnostics(ho.Model(moved))
+    assert [each.kind for each in found] == [Kind.BETWEEN_BRANCHES] * named
+    if named:
+        assert float(found[0].evidence["near"].split()[0]) == pytest.approx(off * (other - taken), abs=0.2)
+        assert found[0].remedy.endswith("rocker = 80.0 deg.")

@@ -1,0 +1,47 @@
+"""Tuning where a load lightens along the motion, so that errors grow unless the position gain is high enough."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydroopt import Model, Plant, load_machine
+from hydroopt.control.axes import Axes
+from hydroopt.control.cascade import linear_feedback
+from hydroopt.control.linear_system import LinearSystem, closed_loop
+from hydroopt.control.sampled_plant import Point, linearised, point, sampled
+from hydroopt.control.tuning import tuned
+from hydroopt.control.valve_inversion import Valves
+
+RATE = 100.0
+
+
+@pytest.fixture(scope="module")
+def upright() -> tuple[Valves, list[Point], list[LinearSystem]]:
+    """The lift of Tampere's manipulator goes up nearly upright, and slowly in the middle of its range."""
+    plant = Plant(Model(load_machine("tampere_manipulator")))
+    psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
+    points = [point(plant, name, np.array(q), np.array(qd), psi, theta) for name, q, qd in (
+        ("upright", [1.21, -0.377, 0.36], [0.27, -0.082, -0.05]), ("middle", [0.6, -1.0, 0.4], [-0.1, 0.1, 0.1]))]
+    return Valves(plant, theta), points, [sampled(linearised(plant, each, psi, theta), plant.delays, 1 / RATE)
+                                          for each in points]
+
+
+def growth(system: LinearSystem) -> float:
+    return float(np.log(np.max(np.abs(system.poles))) * RATE)
+
+
+def test_a_load_that_lightens_is_stabilised(upright: tuple[Valves, list[Point], list[LinearSystem]]) -> None:
+    valves, points, plants = upright
+    assert growth(plants[0]) > 0.15
+    gains = tuned(plants, points, valves)
+
+    def closed(part: float) -> float:
+        less = replace(gains, position=part * gains.position)
+        return max(growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, less, 1 / RATE, each)))
+                   for plant, each in zip(plants, points, strict=True))
+
+    assert closed(1.0) < 0
+    assert closed(0.1) > 0  # which the sensitivity alone does not show
