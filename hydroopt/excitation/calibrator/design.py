@@ -23,6 +23,8 @@ MARGIN = 0.95
 """Part of the deviations asked for that sizes must reach, since poses are whole numbers."""
 ROUNDED = {"m": 1e-3, "rad": math.radians(0.1)}
 """Steps of lengths [m] and angles [rad] of what is built."""
+TRIES = 8
+"""Times that so many postures are drawn, where few of them close within the limits."""
 MORE = 3.0
 """Postures to choose from for each one to measure."""
 
@@ -61,6 +63,10 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
                 problem.least or design.reached):
             return design
     best = min(tried, key=lambda each: each.ratio)
+    if problem.least and math.isfinite(best.ratio):
+        raise ProblemError(f"fewer than {problem.count} random postures of a stage close within the limits",
+                           where=f"calibrator for {problem.machine.name}", remedy="measure fewer poses, or allow more "
+                           "starts, longer links, or another place of the ball")
     if not math.isfinite(best.ratio):
         raise ProblemError("no calibrator closes the loop within its limits in the poses of all stages",
                            where=f"calibrator for {problem.machine.name}",
@@ -106,9 +112,11 @@ def planned(problem: CalibratorProblem, construction: Construction, sized: Sized
     """The calibrator in round numbers with whole numbers of poses; None where too few postures close."""
     search = search_of(problem, construction)
     values = _rounded(sized.values, search)
-    found = search.postures(values, int(MORE * problem.count), rng)
-    found = [np.concatenate(pair) for pair in zip(search.closed(values, sized.q), found, strict=True)]
-    least = min(map(len, found))
+    found, wanted = search.closed(values, sized.q), int(MORE * problem.count)
+    for _ in range(TRIES):
+        found = [np.concatenate(pair) for pair in zip(found, search.postures(values, wanted, rng), strict=True)]
+        if (least := min(map(len, found))) >= wanted:
+            break
     if least < problem.count:
         return None
     machine = carrying(problem.machine, construction, values, problem.workshop, problem.keep)
