@@ -13,6 +13,8 @@ def __getattr__(name: str) -> Any:
     """A public name from its module: __init__.pyi lists all of them. Nothing is imported before one is used."""
     if name.startswith("__") and name != "__all__":
         raise AttributeError(name)
+    if os.path.exists(os.path.join(os.path.dirname(__file__), f"{name}.py")):  # a module, which Python imports then
+        raise AttributeError(name)
     import lazy_loader  # noqa: PLC0415 (so that the command can catch Ctrl-C before anything is imported)
 
     names = globals()

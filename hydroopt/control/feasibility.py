@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import brentq
 
 from hydroopt.control.loop_margins import Margin
 from hydroopt.control.reference import Demand
@@ -41,6 +40,8 @@ def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
 
     if beyond(1.0) <= 0:
         return slowed(1.0)
+    from scipy.optimize import brentq  # noqa: PLC0415 — most motions need none of it
+
     return slowed(float(brentq(beyond, 0.0, 1.0)) if beyond(0.0) < 0 else 0.0)
 
 

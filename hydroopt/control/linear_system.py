@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.linalg import eigvals, schur
 
 from hydroopt.spatial.inertia import Array
 
@@ -42,6 +41,8 @@ class LinearSystem(NamedTuple):
         The complex Schur form of A is triangular, so that all points share one decomposition (Laub 1981, with a
         triangle in place of Hessenberg's form).
         """
+        from scipy.linalg import schur  # noqa: PLC0415 — it takes longer to load than C to be written
+
         T, U = schur(self.A, output="complex") if len(self.A) else (np.zeros((0, 0)), np.zeros((0, 0)))
         B, C = U.conj().T @ self.B, self.C @ U
         X = np.zeros((len(T), len(z), B.shape[1]), dtype=complex)
@@ -65,6 +66,8 @@ class LinearSystem(NamedTuple):
     @property
     def zeros(self) -> Array:
         """Transmission zeros of a system with as many inputs as outputs: where its Rosenbrock matrix is singular."""
+        from scipy.linalg import eigvals  # noqa: PLC0415 (as above)
+
         n, m = self.B.shape
         found = eigvals(np.block([[self.A, self.B], [self.C, self.D]]),
                         np.block([[np.eye(n), np.zeros((n, m))], [np.zeros((m, n + m))]]))

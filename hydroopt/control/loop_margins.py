@@ -93,10 +93,20 @@ def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
     # cubic splines over the logarithm of the frequency
     curves = CubicSpline(np.log(omega), np.stack([
         L.real, L.imag, np.log(np.maximum(np.abs(L), 1e-300)), np.abs(1 + L)]), axis=-1)
-    nearest = np.min(np.abs(1 + L), axis=1)
-    disk = np.min(2 * np.abs(1 + L) / np.maximum(np.abs(1 - L), 1e-300), axis=1)
+    nearest, disk = np.min(np.abs(1 + L), axis=1), _disks(L)
     return [_margin(where, name, [PPoly.construct_fast(curves.c[..., k, i], curves.x) for k in range(4)],
                     float(nearest[i]), damping, float(disk[i])) for i, name in enumerate(names)], omega, L
+
+
+def disk_margins(plant: LinearSystem, feedback: LinearSystem) -> Array:
+    """The disk margins (n,) of `margins` alone; zero where the closed loop is not stable."""
+    stable = _least_damping(closed_loop(plant, feedback))[0] > 0
+    return _disks(responses(plant, feedback, frequencies(plant.period))) * stable
+
+
+def _disks(L: Array) -> Array:
+    """Disk margins (n,) of loops L(jω) (n, ω)."""
+    return np.asarray(np.min(2 * np.abs(1 + L) / np.maximum(np.abs(1 - L), 1e-300), axis=1))
 
 
 def _least_damping(system: LinearSystem, standing: float = 0.0) -> tuple[float, float]:

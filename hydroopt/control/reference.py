@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import BPoly
 
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
@@ -25,6 +24,8 @@ class Reference:
     """
 
     def __init__(self, motion: Trajectory) -> None:
+        from scipy.interpolate import BPoly  # noqa: PLC0415 — it takes longer to load than C to be written
+
         self.start, self.end = float(motion.t[0]), float(motion.t[-1])
         spline = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.qd, motion.qdd], axis=1))
         self._orders = spline, spline.derivative(), spline.derivative(2)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.linalg import expm
 
 from hydroopt.control.linear_system import LinearSystem
 from hydroopt.model.plant import Plant, Steady
@@ -109,6 +108,8 @@ def sampled(system: LinearSystem, delays: Array, period: float) -> LinearSystem:
 
     Commands that do not act yet are additional states (Åström and Wittenmark 1997).
     """
+    from scipy.linalg import expm  # noqa: PLC0415 — it takes longer to load than C to be written
+
     A, B = system.A, system.B
     whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
     part = np.round(np.maximum(delays - whole * period, 0.0), 12)

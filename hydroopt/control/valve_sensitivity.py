@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.control.loop_margins import margins
+from hydroopt.control.loop_margins import disk_margins
 from hydroopt.control.loops import Loops
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.errors import ProblemError
@@ -51,7 +50,7 @@ def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array
     names = [each.actuator.name for each in plant.actuators]
     found: list[LostMargin] = []
     try:
-        disks = _disks(plant, at, loops, names, psi, theta)
+        disks = _disks(plant, at, loops, psi, theta)
     except ProblemError:  # the machine can move here, but not as it is known
         return ()
     for k in np.flatnonzero(np.diag(known.information) > 0):
@@ -60,7 +59,7 @@ def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array
             moved = theta.copy()
             moved[k] = np.clip(theta[k] + side, known.lower[k], known.upper[k])
             try:
-                least = np.minimum(least, _disks(plant, at, loops, names, psi, moved))
+                least = np.minimum(least, _disks(plant, at, loops, psi, moved))
             except ProblemError:
                 continue
         found += [LostMargin(name, known.names[k], std, known.units[k], float(disk), float(disk - low))
@@ -68,9 +67,8 @@ def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array
     return tuple(found)
 
 
-def _disks(plant: Plant, at: Point, loops: Loops, names: Sequence[str], psi: Array, theta: Array) -> Array:
+def _disks(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array) -> Array:
     """Disk margins (a,) of the loops of a machine with other numbers."""
     moved = point(plant, at.name, at.q, at.qd, psi, theta)
     held = sampled(linearised(plant, moved, psi, theta), plant.delays, loops.plant.period)
-    found, _, _ = margins(held, loops.feedback, names, at.name)
-    return np.array([each.disk if each.damping > 0 else 0.0 for each in found])
+    return disk_margins(held, loops.feedback)

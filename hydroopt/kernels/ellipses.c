@@ -5,8 +5,11 @@
 /* The density of standard normal coordinates z (k) times exp(square*z^2 + linear*z), where linear functions (m) of z
    are positive: the upper triangles of symmetric 4-by-4 matrices entry by entry, whose pivots are, then single ones.
    Matrices of a positive weight have log-det distances from spread*1. `freedoms` are those of the Student-t about which
-   blocks move; 0 of a Gaussian. */
-struct density { long coordinates, functions, matrices; const double *slope, *square, *linear, *weight, *spread; double freedoms; };
+   blocks move; 0 of a Gaussian. Functions and matrices are filled up to multiples of TILE, which vectors divide: `place`
+   says where each of the `own` functions stands. */
+struct density { long coordinates, functions, matrices, own; const long *place; const double *slope, *square, *linear, *weight, *spread; double freedoms; };
+#define TILE 8
+typedef double tile __attribute__((vector_size(8 * TILE), aligned(8), may_alias));
 
 static int single_hold(const struct density *of, const double *slack)
 {
@@ -16,16 +19,18 @@ static int single_hold(const struct density *of, const double *slack)
 }
 
 /* The pivots (4, matrices) of all matrices: whether all are positive. */
-static int pivots(long n, const double *restrict u, double *restrict p)
+static int pivots(long n, const double *u, double *p)
 {
     int hold = 1;
-    for (long i = 0; i < n; i++) {
-        double a = u[i], b = u[n + i], c = u[2 * n + i], d = u[3 * n + i];
-        double e = u[4 * n + i] - b * b / a, f = u[5 * n + i] - b * c / a, g = u[6 * n + i] - b * d / a;
-        double h = u[7 * n + i] - c * c / a - f * f / e, r = u[8 * n + i] - c * d / a - f * g / e;
-        double j = u[9 * n + i] - d * d / a - g * g / e - r * r / h;
-        p[i] = a, p[n + i] = e, p[2 * n + i] = h, p[3 * n + i] = j;
-        hold &= (a > 0) & (e > 0) & (h > 0) & (j > 0);
+    for (long i = 0; i < n; i += TILE) {
+        const tile *at[10];
+        for (long k = 0; k < 10; k++) at[k] = (const tile *)(u + k * n + i);
+        tile a = *at[0], b = *at[1], c = *at[2], d = *at[3];
+        tile e = *at[4] - b * b / a, f = *at[5] - b * c / a, g = *at[6] - b * d / a;
+        tile h = *at[7] - c * c / a - f * f / e, r = *at[8] - c * d / a - f * g / e;
+        tile j = *at[9] - d * d / a - g * g / e - r * r / h;
+        *(tile *)(p + i) = a, *(tile *)(p + n + i) = e, *(tile *)(p + 2 * n + i) = h, *(tile *)(p + 3 * n + i) = j;
+        for (long k = 0; k < TILE; k++) hold &= (a[k] > 0) & (e[k] > 0) & (h[k] > 0) & (j[k] > 0);
     }
     return hold;
 }
@@ -54,18 +59,33 @@ static double over_t(double freedoms, long size, double square)
     return freedoms > 0 ? (freedoms + size) / 2 * log1p(square / freedoms) - square / 2 : 0;
 }
 
+/* What a tile of functions changes by along both axes of an ellipse: sums over coordinates stay in registers. */
+static void axes(long size, const long *order, const double *restrict slope, long m, const double *restrict now,
+                 const double *restrict to, double *restrict along, double *restrict across)
+{
+    tile a = {0}, b = {0};
+    for (long n = 0; n < size; n++) {
+        tile s = *(const tile *)(slope + order[n] * m);
+        a += now[n] * s, b += to[n] * s;
+    }
+    *(tile *)along = a, *(tile *)across = b;
+}
+
 /* Move every block of every chain once along its ellipse; see `moved` in elliptical_moves.py, which says what is drawn.
 
-   state (k, c), slack (m, c) and log_density (c) change in place; work holds 2*k + 4*m + 4*matrices numbers. */
+   state (k, c), slack (own, c) and log_density (c) change in place; work holds 3*k + 4*m + 4*matrices numbers. */
 void sweep(const struct density *of, long chains, long tries, long size, const long *order, const double *other,
            const double *square, const double *chance, const double *level, double *state, double *slack,
            double *log_density, double *work)
 {
     long k = of->coordinates, m = of->functions;
-    double *z = work, *to = z + k, *here = to + k, *along = here + m, *across = along + m, *there = across + m, *p = there + m;
+    double *z = work, *to = z + k, *at = to + k, *here = at + k, *along = here + m, *across = along + m, *there = across + m, *p = there + m;
+    for (long i = 0; i < m; i++) here[i] = 0;
+    for (long i = 0; i < of->matrices; i++)  /* what fills up: matrices that are always possible */
+        here[i] = here[4 * of->matrices + i] = here[7 * of->matrices + i] = here[9 * of->matrices + i] = 1;
     for (long c = 0; c < chains; c++) {
         for (long j = 0; j < k; j++) z[j] = state[j * chains + c];
-        for (long i = 0; i < m; i++) here[i] = slack[i * chains + c];
+        for (long i = 0; i < of->own; i++) here[of->place[i]] = slack[i * chains + c];
         double density = log_density[c];
         for (long first = 0, b = 0; first < k; first += size, b++) {
             long last = first + size < k ? first + size : k;
@@ -77,13 +97,9 @@ void sweep(const struct density *of, long chains, long tries, long size, const l
                 before += now * now;
             }
             if (of->freedoms > 0) wide = sqrt((of->freedoms + before) / square[b * chains + c]);
-            for (long i = 0; i < m; i++) along[i] = across[i] = 0;
-            for (long n = first; n < last; n++) {
-                const double *restrict s = of->slope + order[n] * m;
-                double now = z[order[n]];
-                to[n] = wide * other[n * chains + c];
-                for (long i = 0; i < m; i++) along[i] += now * s[i], across[i] += to[n] * s[i];
-            }
+            for (long n = first; n < last; n++) at[n] = z[order[n]], to[n] = wide * other[n * chains + c];
+            for (long i = 0; i < m; i += TILE)
+                axes(last - first, order + first, of->slope + i, m, at + first, to + first, along + i, across + i);
             double threshold = density - level[b * chains + c] + over_t(of->freedoms, last - first, before);
             double angle = 0, low = 0, high = 0;
             for (long t = 0; t < tries; t++) {
@@ -109,7 +125,7 @@ void sweep(const struct density *of, long chains, long tries, long size, const l
             }
         }
         for (long j = 0; j < k; j++) state[j * chains + c] = z[j];
-        for (long i = 0; i < m; i++) slack[i * chains + c] = here[i];
+        for (long i = 0; i < of->own; i++) slack[i * chains + c] = here[of->place[i]];
         log_density[c] = density;
     }
 }

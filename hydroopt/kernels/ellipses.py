@@ -19,8 +19,8 @@ from hydroopt.spatial.inertia import Array
 class _Density(ctypes.Structure):
     """The structure `density` of ellipses.c."""
 
-    _fields_ = (*((name, ctypes.c_long) for name in ("coordinates", "functions", "matrices")),
-                *((name, ctypes.c_void_p) for name in ("slope", "square", "linear", "weight", "spread")),
+    _fields_ = (*((name, ctypes.c_long) for name in ("coordinates", "functions", "matrices", "own")),
+                *((name, ctypes.c_void_p) for name in ("place", "slope", "square", "linear", "weight", "spread")),
                 ("freedoms", ctypes.c_double))
 
 
@@ -38,11 +38,18 @@ class Sweeper:
 
     def __init__(self, sweep: Callable[..., None], slope: Array, square: Array, linear: Array, weight: Array,
                  spread: Array, freedoms: float) -> None:
-        held = [np.ascontiguousarray(each, dtype=float) for each in (slope.T, square, linear, weight, spread)]
+        (own, coordinates), matrices = slope.shape, len(weight)
+        wide = _filled(matrices)
+        entries = np.arange(10 * matrices).reshape(10, matrices) + (wide - matrices) * np.arange(10)[:, None]
+        place = np.concatenate([entries.ravel(), np.arange(own - 10 * matrices) + 10 * wide]).astype(np.int_)
+        functions = _filled(10 * wide + own - 10 * matrices)
+        slopes, weights, spreads = np.zeros((coordinates, functions)), np.zeros(wide), np.ones(wide)
+        slopes[:, place], weights[:matrices], spreads[:matrices] = slope.T, weight, spread
+        alike = (np.ascontiguousarray(each, dtype=float) for each in (square, linear))
+        held = [place, slopes, *alike, weights, spreads]
         self._sweep, self._held = sweep, held
-        self._density = _Density(slope.shape[1], slope.shape[0], len(weight), *(each.ctypes.data for each in held),
-                                 freedoms)
-        self._work = np.empty(2 * slope.shape[1] + 4 * slope.shape[0] + 4 * len(weight))
+        self._density = _Density(coordinates, functions, wide, own, *(each.ctypes.data for each in held), freedoms)
+        self._work = np.empty(3 * coordinates + 4 * functions + 4 * wide)
 
     def __call__(self, size: int, order: NDArray[np.intp], other: Array, square: Array, chance: Array, level: Array,
                  state: Array, slack: Array, log_density: Array) -> None:
@@ -62,6 +69,11 @@ class Sweeper:
         self._sweep(ctypes.byref(self._density), state.shape[1], chance.shape[1], size,
                     np.ascontiguousarray(order, dtype=np.int_).ctypes.data,
                     *(each.ctypes.data for each in (other, square, chance, level, *changed, self._work)))
+
+
+def _filled(count: int) -> int:
+    """The next multiple of `TILE` in ellipses.c."""
+    return -(-count // 8) * 8
 
 
 @cache

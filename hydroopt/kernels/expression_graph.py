@@ -155,8 +155,8 @@ def program(function: ca.Function) -> Program:
     if not all(function.sparsity_in(i).is_dense() for i in range(function.n_in())):
         raise NotImplementedError("an input has structural zeros")
     made = _Maker()
-    slots: dict[int, Ref] = {}
-    found: list[dict[int, Ref]] = [{} for _ in range(function.n_out())]
+    slots = [0] * function.sz_w()
+    found: list[dict[int, int]] = [{} for _ in range(function.n_out())]
     for k in range(function.n_instructions()):
         op, into, out_of = (function.instruction_id(k), function.instruction_output(k), function.instruction_input(k))
         if op == ca.OP_INPUT:
@@ -172,62 +172,72 @@ def program(function: ca.Function) -> Program:
     for i, values in enumerate(found):
         rows, columns = function.size_out(i)
         at = {place: n for n, place in enumerate(zip(*function.sparsity_out(i).get_triplet(), strict=True))}
-        entries = tuple(values[at[r, c]] if (r, c) in at else made.constant(0.0)
+        entries = tuple(made.refs[values[at[r, c]] if (r, c) in at else made.constant(0.0)]
                         for r in range(rows) for c in range(columns))
         outputs.append(Output(function.name_out(i), rows, columns, entries))
     return _ordered(function.name(), inputs, outputs, made.nodes)
 
 
 class _Maker:
-    """Makes nodes, each only once."""
+    """Makes nodes, each only once.
+
+    A value is here the place k of its node, its negative is ~k.
+    """
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self.known: dict[Node, int] = {}
+        self.numbers: list[float | None] = []
+        """Values of constants; None of what varies."""
+        self.known: dict[tuple[str, tuple[int, ...], float, tuple[int, int]], int] = {}
         self.factors: dict[int, tuple[int, ...]] = {}
-        self.products: dict[tuple[int, ...], Ref] = {}
+        self.products: dict[tuple[int, ...], int] = {}
+        self.refs = _Refs()
 
-    def node(self, op: str, operands: tuple[Ref, ...] = (), value: float = 0.0, place: tuple[int, int] = (0, 0)) -> Ref:
-        node = Node(op, operands, value, place)
-        if node not in self.known:
-            self.known[node] = len(self.nodes)
-            self.nodes.append(node)
-        return Ref(self.known[node])
+    def node(self, op: str, operands: tuple[int, ...] = (), value: float = 0.0, place: tuple[int, int] = (0, 0)) -> int:
+        key = op, operands, value, place
+        found = self.known.get(key)
+        if found is None:
+            self.known[key] = found = len(self.nodes)
+            self.nodes.append(Node(op, tuple([self.refs[k] for k in operands]), value, place))
+            self.numbers.append(value if op == "constant" else None)
+        return found
 
-    def constant(self, value: float) -> Ref:
+    def constant(self, value: float) -> int:
         if math.isnan(value):
             raise NotImplementedError("a constant is not a number")
-        ref = self.node("constant", value=abs(value))
-        return -ref if value < 0 else ref
+        k = self.node("constant", value=abs(value))
+        return ~k if value < 0 else k
 
-    def number(self, ref: Ref) -> float | None:
-        node = self.nodes[ref.node]
-        return (-node.value if ref.negative else node.value) if node.op == "constant" else None
+    def number(self, k: int) -> float | None:
+        if k >= 0:
+            return self.numbers[k]
+        value = self.numbers[~k]
+        return None if value is None else -value
 
-    def apply(self, op: str, operands: list[Ref]) -> Ref:
+    def apply(self, op: str, operands: list[int]) -> int:
         a = operands[0]
         b = operands[-1]
         match op:
+            case "mul":
+                return self.product(a, b)
             case "add":
                 return self.sum((a, b))
             case "sub":
-                return self.sum((a, -b))
-            case "mul":
-                return self.product((a, b))
+                return self.sum((a, ~b))
             case "div":
-                return self.product((a, self.inverse(b)))
+                return self.product(a, self.inverse(b))
             case "neg":
-                return -a
+                return ~a
             case "sq":
-                return self.product((a, a))
+                return self.product(a, a)
             case "twice":
-                return self.product((a, self.constant(2.0)))
+                return self.product(a, self.constant(2.0))
             case "inv":
                 return self.inverse(a)
             case "hypot":
-                return self.apply("sqrt", [self.sum((self.product((a, a)), self.product((b, b))))])
-            case "constpow" | "pow" if b.negative and self.number(b) is not None:
-                return self.inverse(self.apply("pow", [a, -b]))
+                return self.apply("sqrt", [self.sum((self.product(a, a), self.product(b, b)))])
+            case "constpow" | "pow" if b < 0 and self.number(b) is not None:
+                return self.inverse(self.apply("pow", [a, ~b]))
             case "constpow":
                 op = "pow"
         if op not in UNARY | BINARY or (op == "pow" and self.number(b) is None):
@@ -235,107 +245,130 @@ class _Maker:
         if op in ("sin", "cos") and (turn := self.vector_angle(a)) is not None:
             return self.of_sum(op, *turn)
         if op in EVEN:
-            return self.node(op, (Ref(a.node),))
+            return self.node(op, (_node(a),))
         if op in ODD:
-            ref = self.node(op, (Ref(a.node),))
-            return -ref if a.negative else ref
-        return self.positive(op, operands)
+            k = self.node(op, (_node(a),))
+            return ~k if a < 0 else k
+        # a negative operand becomes a value of its own
+        return self.node(op, tuple([self.node("negative", (~k,)) if k < 0 else k for k in operands]))
 
-    def vector_angle(self, angle: Ref) -> tuple[Ref, Ref] | None:
+    def vector_angle(self, angle: int) -> tuple[int, int] | None:
         """An angle as that of a vector and what is added to it; None if no term of it is one."""
-        node = self.nodes[angle.node]
-        terms = node.operands if node.op == "sum" else (Ref(angle.node),)
-        own = next((term for term in terms if self.nodes[term.node].op == "atan2"), None)
+        node = self.nodes[_node(angle)]
+        terms = [~ref.node if ref.negative else ref.node for ref in node.operands] if node.op == "sum" else [
+            _node(angle)]
+        own = next((term for term in terms if self.nodes[_node(term)].op == "atan2"), None)
         if own is None:
             return None
-        rest = self.sum(term for term in terms if term != own)
-        return (-own, -rest) if angle.negative else (own, rest)
+        rest = self.sum([term for term in terms if term != own])
+        return (~own, ~rest) if angle < 0 else (own, rest)
 
-    def of_sum(self, op: str, own: Ref, rest: Ref) -> Ref:
+    def of_sum(self, op: str, own: int, rest: int) -> int:
         """Sine or cosine of a vector's angle and another one, without the angle of the vector."""
-        y, x = self.nodes[own.node].operands
-        unit = self.inverse(self.apply("sqrt", [self.sum((self.product((x, x)), self.product((y, y))))]))
-        cosine, sine = self.product((x, unit)), self.product((-y if own.negative else y, unit))
+        y, x = (ref.node for ref in self.nodes[_node(own)].operands)
+        unit = self.inverse(self.apply("sqrt", [self.sum((self.product(x, x), self.product(y, y)))]))
+        cosine, sine = self.product(x, unit), self.product(~y if own < 0 else y, unit)
         value = self.number(rest)
         along, across = ((self.apply("cos", [rest]), self.apply("sin", [rest])) if value is None else
                          (self.constant(math.cos(value)), self.constant(math.sin(value))))
         if op == "cos":
-            return self.sum((self.product((cosine, along)), -self.product((sine, across))))
-        return self.sum((self.product((sine, along)), self.product((cosine, across))))
+            return self.sum((self.product(cosine, along), ~self.product(sine, across)))
+        return self.sum((self.product(sine, along), self.product(cosine, across)))
 
-    def positive(self, op: str, operands: list[Ref]) -> Ref:
-        # a negative operand becomes a value of its own
-        return self.node(op, tuple(self.node("negative", (Ref(r.node),)) if r.negative else r for r in operands))
-
-    def inverse(self, ref: Ref) -> Ref:
-        value = self.number(ref)
+    def inverse(self, k: int) -> int:
+        value = self.number(k)
         if value is not None:
             return self.constant(1 / value if value else math.inf)
-        node = self.node("inv", (Ref(ref.node),))
-        return -node if ref.negative else node
+        made = self.node("inv", (_node(k),))
+        return ~made if k < 0 else made
 
-    def product(self, factors: Iterable[Ref]) -> Ref:
-        factors = tuple(factors)
-        negative = sum(f.negative for f in factors) % 2 == 1
-        value = math.prod(v for f in factors if (v := self.number(Ref(f.node))) is not None)
-        others = sorted(Ref(f.node) for f in factors if self.number(f) is None)
-        if value == 0.0:
-            return self.constant(0.0)
-        if value != 1.0 or not others:
-            others.insert(0, self.constant(value))
-        # however it is bracketed, a product of the same factors is the same value
-        whole = tuple(sorted(single for ref in others for single in self.factors.get(ref.node, (ref.node,))))
+    def product(self, a: int, b: int) -> int:
+        negative = (a < 0) != (b < 0)
+        a, b = sorted((_node(a), _node(b)))
+        others = [k for k in (a, b) if self.numbers[k] is None]
+        if len(others) < 2:
+            value = math.prod(v for k in (a, b) if (v := self.numbers[k]) is not None)
+            if value == 0.0:
+                return self.constant(0.0)
+            if value != 1.0 or not others:
+                others.insert(0, self.constant(value))
+        made: int | None
         if len(others) == 1:
-            ref = others[0]
-        elif whole in self.products:
-            ref = self.products[whole]
+            made = others[0]
         else:
-            ref = self.node("product", tuple(others))
-            if len(whole) <= FACTORS:
-                self.products[whole] = ref
-                self.factors[ref.node] = whole
-        return -ref if negative else ref
+            # however it is bracketed, a product of the same factors is the same value
+            whole = [factor for k in others for factor in self.factors.get(k, (k,))]
+            key = tuple(sorted(whole)) if len(whole) <= FACTORS else ()
+            made = self.products.get(key)
+            if made is None:
+                made = self.node("product", tuple(others))
+                if key:
+                    self.products[key] = made
+                    self.factors[made] = key
+        return ~made if negative else made
 
-    def sum(self, terms: Iterable[Ref]) -> Ref:
-        terms = tuple(terms)
-        value = math.fsum(v for t in terms if (v := self.number(t)) is not None)
-        count: Counter[int] = Counter()
+    def sum(self, terms: Iterable[int]) -> int:
+        constants: list[float] = []
+        count: dict[int, int] = {}
         for term in terms:
-            if self.number(term) is None:
-                count[term.node] += -1 if term.negative else 1
-        others: list[Ref] = []
-        for node, times in sorted(count.items()):
-            one = Ref(node) if abs(times) == 1 else self.product((Ref(node), self.constant(float(abs(times)))))
-            others += [-one if times < 0 else one] if times else []
+            node = term if term >= 0 else ~term
+            if (value := self.numbers[node]) is None:
+                count[node] = count.get(node, 0) + (1 if term >= 0 else -1)
+            else:
+                constants.append(value if term >= 0 else -value)
+        value = math.fsum(constants)
+        others: list[int] = []
+        for node in sorted(count):
+            if times := count[node]:
+                one = node if abs(times) == 1 else self.product(node, self.constant(float(abs(times))))
+                others.append(one if times > 0 else ~one)
         if value != 0.0 or not others:
             others.append(self.constant(value))
         if len(others) == 1:
             return others[0]
         # a sum and its negative are one value
-        if others[0].negative:
-            return -self.node("sum", tuple(-r for r in others))
+        if others[0] < 0:
+            return ~self.node("sum", tuple([~k for k in others]))
         return self.node("sum", tuple(others))
+
+
+class _Refs(dict[int, Ref]):
+    """References to places k, and of ~k to their negatives, each made once: programs have hundreds of thousands."""
+
+    def __missing__(self, k: int) -> Ref:
+        self[k] = made = Ref(k) if k >= 0 else Ref(~k, negative=True)
+        return made
+
+
+def _node(k: int) -> int:
+    """The place of a value or of its negative."""
+    return k if k >= 0 else ~k
 
 
 def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: Sequence[Node]) -> Program:
     """Only what the outputs need, each value right before its first use."""
-    place: dict[int, int] = {}
+    place = [-1] * len(made)
     nodes: list[Node] = []
+    refs = _Refs()
     for root in (ref.node for output in outputs for column in range(output.columns)
                  for ref in output.entries[column::output.columns]):
-        stack = [(root, False)]
+        stack = [root]
         while stack:
-            index, ready = stack.pop()
-            if index in place:
+            index = stack.pop()
+            ready, index = index < 0, _node(index)
+            if place[index] >= 0:
                 continue
             node = made[index]
-            if ready:
+            if not node.operands:
                 place[index] = len(nodes)
-                nodes.append(Node(node.op, tuple([Ref(place[r.node], r.negative) for r in node.operands]), node.value,
-                                  node.place) if node.operands else node)
+                nodes.append(node)
+            elif ready:
+                place[index] = len(nodes)
+                nodes.append(Node(node.op, tuple([refs[~place[k] if negative else place[k]]
+                                                  for k, negative in node.operands]), node.value, node.place))
             else:
-                stack.append((index, True))
-                stack += [(ref.node, False) for ref in reversed(node.operands)]
+                stack.append(~index)
+                stack += [k for k, _ in reversed(node.operands) if place[k] < 0]
     return Program(name, inputs, tuple(
-        out._replace(entries=tuple(Ref(place[r.node], r.negative) for r in out.entries)) for out in outputs),
-        tuple(nodes))
+        out._replace(entries=tuple([refs[~place[k] if negative else place[k]] for k, negative in out.entries]))
+        for out in outputs), tuple(nodes))

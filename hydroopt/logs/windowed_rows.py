@@ -40,9 +40,10 @@ class WindowedRows:
         made = np.zeros((self.columns, *samples.shape[1:]))
         if samples.ndim > 1 and FEWER * made[0].size > len(self._starts):
             width, edges = self.values.shape[1], np.append(self._starts, len(samples)).tolist()
-            for start, end in pairwise(edges):
-                at = self.first[start]
-                made[at : at + width] += np.tensordot(self.values[start:end], samples[start:end], (0, 0))
+            flat, sums = (each.reshape(len(each), made[0].size) for each in (samples, made))
+            turned = self.values.T
+            for at, (start, end) in zip(self.first[self._starts].tolist(), pairwise(edges), strict=True):
+                sums[at : at + width] += turned[:, start:end] @ flat[start:end]
             return made
         if samples.ndim > 1:
             for k in np.ndindex(samples.shape[1:]):

@@ -16,7 +16,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_args
 
-import tomlkit
 from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
@@ -40,6 +39,7 @@ from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
 from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.toml_text import toml_text
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError, spread_to_si, to_si
 
@@ -353,7 +353,7 @@ def machine_file_tables(machine: Machine) -> dict[str, Any]:
 
 def dump_tables(tables: Mapping[str, Any]) -> str:
     """Text of a machine file's tables."""
-    return tomlkit.dumps(tables)
+    return toml_text(tables)
 
 
 def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:

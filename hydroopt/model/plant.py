@@ -8,7 +8,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, root
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
@@ -357,6 +356,8 @@ class Plant(Shown):
                                    "its load", where=self.machine.name,
                                    remedy="ask for a slower motion, or state a higher pressure or larger valve")
 
+        from scipy.optimize import root  # noqa: PLC0415 — it takes longer to load than C to be written
+
         def balance(z: Array) -> tuple[Array, Array]:
             gap, slope = self._balance(z, q, qd, supply, psi, theta)
             return gap, slope
@@ -427,6 +428,8 @@ class Plant(Shown):
 
     def _command_for(self, k: int, opening: float, theta: Array) -> float:
         """Command that holds a spool at a position, −1 to 1."""
+        from scipy.optimize import brentq  # noqa: PLC0415 (as above)
+
         each, valve = self.actuators[k], self.actuators[k].valve
 
         def excess(u: float) -> float:

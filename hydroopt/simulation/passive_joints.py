@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import solve_ivp
-from scipy.interpolate import BPoly
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.model.model import Model
@@ -37,6 +35,9 @@ def passive_motion(model: Model, t: Array, motion: tuple[Array, Array, Array], p
     passive = [machine.joints.index(each.joint) for each in machine.balances if not each.actuators]
     if not passive:
         return motion
+    from scipy.integrate import solve_ivp  # noqa: PLC0415 — most machines have no passive joints
+    from scipy.interpolate import BPoly  # noqa: PLC0415 (as above)
+
     driven = [k for k in range(len(machine.joints)) if k not in passive]
     path = BPoly.from_derivatives(t, np.stack([each[:, driven] for each in motion], axis=1))
     courses = [path.derivative(order) if order else path for order in range(3)]

@@ -7,6 +7,7 @@ from studies.bench.calibration import calibration
 from studies.bench.closed_loop import control
 from studies.bench.excitation import excitation
 from studies.bench.growth import growth
+from studies.bench.intervals import intervals
 from studies.bench.linkage import linkage
 from studies.bench.montecarlo import montecarlo
 from studies.bench.plant import plant
@@ -18,7 +19,8 @@ from studies.bench.valves import valves
 PARTS = {"streaming": streaming, "identify": jobs.identify, "codegen": jobs.codegen, "calibration": calibration,
          "control": control,
          "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "growth": growth,
-         "batch": kernels.batch, "first": kernels.first, "excitation": excitation, "plant": plant, "start": start,
+         "batch": kernels.batch, "first": kernels.first, "intervals": intervals,
+         "excitation": excitation, "plant": plant, "start": start,
          "valves": valves,
          "montecarlo": montecarlo}
 

@@ -19,8 +19,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt.kernels import cache, native
+from hydroopt import cache
 from hydroopt.kernels import compiler as system
+from hydroopt.kernels import native
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, _kept, source
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -204,8 +205,8 @@ def students(freedom: Array) -> Array:
 
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
     """Most probable variances (B,) of neighbouring bands and their freedom, from estimates with their own freedom."""
-    weights = np.full(len(estimate) - 1, 1 / STEP**2)
-    coupling = np.diag(np.append(weights, 0.0) + np.append(0.0, weights)) - np.diag(weights, 1) - np.diag(weights, -1)
+    coupling = _coupling(len(estimate))
+    diagonal = np.arange(len(estimate)) * (len(estimate) + 1)
     mean = np.sum(freedom * estimate) / np.sum(freedom) if np.sum(freedom) > 0 else 1.0
     if mean <= 0:
         return estimate, freedom
@@ -213,12 +214,21 @@ def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
     for _ in range(30):
         ratio = estimate / mean * np.exp(-x)
         slope = freedom / 2 * (1 - ratio) + coupling @ x
-        step = np.linalg.solve(np.diag(freedom / 2 * np.maximum(ratio, 0.1) + 1e-9) + coupling, -slope)
-        x += np.clip(step, -1, 1)
-        if np.max(np.abs(step)) < 1e-6:
+        bent = coupling.copy()
+        bent.ravel()[diagonal] += freedom / 2 * np.maximum(ratio, 0.1) + 1e-9
+        step = np.linalg.solve(bent, -slope)
+        x += np.minimum(np.maximum(step, -1), 1)
+        if np.abs(step).max() < 1e-6:
             break
     spread = np.diag(np.linalg.inv(np.diag(freedom / 2 + 1e-9) + coupling))
     return mean * np.exp(x), 2 / spread
+
+
+@cache
+def _coupling(bands: int) -> Array:
+    """The matrix (B, B) of the squares of differences between neighbours, over `STEP`²."""
+    weights = np.full(bands - 1, 1 / STEP**2)
+    return np.diag(np.append(weights, 0.0) + np.append(0.0, weights)) - np.diag(weights, 1) - np.diag(weights, -1)
 
 
 def _gram(rows: Array) -> Array:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE, significant
 from hydroopt.estimation.kinematic import joint
@@ -120,6 +119,8 @@ class _Search:
         own = -(vectors @ (toward / curved)) / size
         lower, upper = (parameters.lower - at.theta)[free], (parameters.upper - at.theta)[free]
         if np.any((own < lower) | (own > upper)):
+            from scipy.optimize import lsq_linear  # noqa: PLC0415 — it takes longer to load than most calibrations
+
             own = np.clip(lsq_linear((curved[:, None] * vectors.T) * size, -toward, (lower, upper), "bvls").x,
                           lower, upper)
         change[free] = own

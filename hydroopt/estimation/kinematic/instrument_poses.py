@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 APART = 5.0
 """Standard deviations that places must lie off a line to tell how an instrument is turned about it."""
@@ -80,7 +82,7 @@ class Sighting(NamedTuple):
             length = float(np.sqrt(np.sum(left**2)) / max(size, 1e-12))
         if len(self.read_turns):
             off = (rotation @ self.read_turns).transpose(0, 2, 1) @ self.expected_turns
-            angle = float(np.sqrt(np.mean(Rotation.from_matrix(off).magnitude() ** 2)))
+            angle = float(np.sqrt(np.mean(_rotations().from_matrix(off).magnitude() ** 2)))
         return length, angle
 
 
@@ -90,7 +92,7 @@ def placed(problem: P) -> P:
     for owner, sighting in sightings(problem):
         rotation, shift = sighting.pose()
         at = problem.parameters.index(f"{owner}.x")
-        nominal[at : at + 6] = [*shift, *Rotation.from_matrix(rotation).as_rotvec()]
+        nominal[at : at + 6] = [*shift, *_rotations().from_matrix(rotation).as_rotvec()]
     return replace(problem, parameters=replace(problem.parameters, nominal=nominal))
 
 
@@ -142,7 +144,7 @@ def _sighting(problem: PoseEquations, expected: Array, groups: list[tuple[str, l
                 which.append(turned.get((int(row), name), -1))
                 sigma = max(sigma, float(problem.row_sigma[row, columns].max()))
     vectors = np.array(turns).reshape(-1, 2, 3)
-    matrices = [Rotation.from_rotvec(vectors[:, k]).as_matrix() if len(vectors) else np.zeros((0, 3, 3))
+    matrices = [_rotations().from_rotvec(vectors[:, k]).as_matrix() if len(vectors) else np.zeros((0, 3, 3))
                 for k in range(2)]
     return Sighting(np.array(read).reshape(-1, 3), np.array(seen).reshape(-1, 3), matrices[0], matrices[1],
                     np.array(which, dtype=int), sigma)
@@ -200,6 +202,13 @@ def _other_readings(sighting: Sighting) -> Iterator[tuple[tuple[float, float], s
            "instrument than the positions, with y and z reversed", order)
     yield (sighting._replace(read_turns=read @ FLIP).misfit(), "the target's axes seem to be flipped, with y and z "
            "reversed", "turn the orientations, or state the target's 'orientation' in the machine file")
-    scalar_last = Rotation.from_quat(np.roll(Rotation.from_matrix(read).as_quat(), 1, axis=1)).as_matrix()
+    scalar_last = _rotations().from_quat(np.roll(_rotations().from_matrix(read).as_quat(), 1, axis=1)).as_matrix()
     yield (sighting._replace(read_turns=scalar_last).misfit(), "the quaternions seem to have their scalar last, not "
            "first", "give the columns the headers qx, qy, qz, qw in that order")
+
+
+def _rotations() -> type[Rotation]:
+    """SciPy's rotations, which take longer to load than a calibration without instruments."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415
+
+    return Rotation

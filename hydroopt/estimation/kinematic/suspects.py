@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special  # `stats` takes longer to load than most calibrations
 
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.pose_faults import SHORTEST, Fault, faults
@@ -61,7 +61,7 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
     misfit, found, wild = _Misfit(problem, linearised, identified), list[Suspect](), np.zeros(len(q), dtype=bool)
     if problem.loss != "squares":  # a robust answer knows wild poses, which least squares would follow
         square = linearised.pose_square / _typical(linearised.pose_square, misfit.rank)
-        wild |= stats.chi2.sf(square / WILDER, misfit.rank) < FALSE_ALARM / len(q)
+        wild |= special.chdtrc(misfit.rank, square / WILDER) < FALSE_ALARM / len(q)
         misfit.set_aside(wild)
     candidates, explained = list(faults(problem, q, linearised)), 0.0
     for _ in range(MOST):
@@ -92,7 +92,7 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
             misfit.explain(leading)
     square = misfit.square / _typical(misfit.square[misfit.kept], misfit.rank[misfit.kept])
     # also beside what was found later
-    wild &= (stats.chi2.sf(square / WILDER, misfit.rank) < FALSE_ALARM / len(q)) & (misfit.square > LINEAR * explained)
+    wild &= (special.chdtrc(misfit.rank, square / WILDER) < FALSE_ALARM / len(q)) & (misfit.square > LINEAR * explained)
     return (*_one_plane(problem, q), *found, *_outliers(problem, square, misfit.rank, wild))
 
 
@@ -208,7 +208,7 @@ class _Misfit:
         if len(sums) < PARTS // 2 or np.count_nonzero(weight > 1e-12) < 2 * PARTS:
             return 0.0
         spread = float(np.sqrt(np.sum(sums**2) * len(sums) / (len(sums) - 1)))
-        return float(2 * stats.t.sf(float(np.sum(weight)) / spread, len(sums) - 1)) if spread else 0.0
+        return float(2 * special.stdtr(len(sums) - 1, -float(np.sum(weight)) / spread)) if spread else 0.0
 
     def explain(self, found: _Explanation) -> None:
         """Count a fault among what is explained, its amount free from now on."""
@@ -236,14 +236,14 @@ def _leading(misfit: _Misfit, tested: list[_Explanation], tried: int) -> tuple[_
     best = max(tested, key=lambda found: found.score(variance, count))
     nearby = [found for fault in best.fault.neighbours() if (found := misfit.tested(fault)) is not None]
     best = max([best, *nearby], key=lambda found: found.score(variance, count))
-    chance = float(stats.chi2.sf(best.drop / variance, best.freedom))
+    chance = float(special.chdtrc(best.freedom, best.drop / variance))
     return (best if chance < FALSE_ALARM / tried else None), variance
 
 
 def _wild(misfit: _Misfit, variance: float, least: float) -> tuple[NDArray[np.bool_], float]:
     """Poses that contradict all others one by one, by at least so much, and the criterion of leaving them out."""
     count, gain = len(misfit.rank), misfit.pose_gain
-    wild = (stats.chi2.sf(gain / variance / WILDER, misfit.rank) < FALSE_ALARM / count) & (gain > least)
+    wild = (special.chdtrc(misfit.rank, gain / variance / WILDER) < FALSE_ALARM / count) & (gain > least)
     if not np.any(wild) or wild.sum() > MANY * misfit.kept.sum():
         return np.zeros(count, dtype=bool), -np.inf
     return wild, misfit.gain_without(wild) / variance - float(np.sum(misfit.rank[wild] + 1)) * float(np.log(count))
@@ -310,7 +310,7 @@ def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
 
 def _typical(square: Array, rank: NDArray[np.int64]) -> float:
     """Variance of the errors in units of the stated one, from the median, which a few bad poses do not move."""
-    ratio = np.median(square / stats.chi2.median(rank))
+    ratio = np.median(square / special.chdtri(rank, 0.5))
     return float(max(ratio, EXACT))
 
 
@@ -333,7 +333,7 @@ def _stages(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64])
     for label, poses in groups.items():
         usual = float(np.median([value for other, value in size.items() if other != label]))
         ratio = size[label] / usual if usual else 1.0
-        chance = stats.f.sf(ratio**2, rank[poses].sum(), rank[~poses].sum())
+        chance = special.fdtrc(rank[poses].sum(), rank[~poses].sum(), ratio**2)
         if ratio > LARGER and chance < FALSE_ALARM / len(groups):
             found.append(Suspect(SuspectKind.STAGE, label, poses, _place(problem, poses), ratio))
     return tuple(sorted(found, key=lambda s: -s.strength))
@@ -345,7 +345,7 @@ def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int6
     No single pose counts for more than makes it wild by itself, so that it makes no stretch of its neighbours.
     """
     found = []
-    square = np.minimum(square, WILDER * stats.chi2.isf(FALSE_ALARM / len(square), np.maximum(rank, 1)))
+    square = np.minimum(square, WILDER * special.chdtri(np.maximum(rank, 1), FALSE_ALARM / len(square)))
     for label in dict.fromkeys(str(s) for s in problem.poses.stage):
         rows = np.flatnonzero((problem.poses.stage == label) & (rank > 0))
         total = np.concatenate([[0], np.cumsum(square[rows])])
@@ -362,9 +362,9 @@ def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int6
         if not np.any(large):
             continue
         first, last = first[large], last[large]
-        chance = stats.chi2.logsf((total[last] - total[first]) / LARGER, freedom[last] - freedom[first])
+        chance = special.chdtrc(freedom[last] - freedom[first], (total[last] - total[first]) / LARGER)
         best = int(np.argmin(chance))
-        if chance[best] < np.log(FALSE_ALARM / windows):
+        if chance[best] < FALSE_ALARM / windows:
             poses = np.zeros(len(square), bool)
             poses[rows[first[best] : last[best]]] = True
             size = float(np.sqrt(square[poses].sum() / rank[poses].sum()))

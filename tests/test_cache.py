@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from hydroopt import cache
 from hydroopt.files import UNFINISHED
-from hydroopt.kernels import cache
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
 

@@ -1,0 +1,68 @@
+"""Whether what makes identification faster leaves its intervals as they are, beside the noise of the draws."""
+
+from collections.abc import Sequence
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from hydroopt import identification_problem, load_machine, random_trajectory, random_truth, simulate
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.inference import posterior
+from hydroopt.kernels import ellipses
+from hydroopt.model.model import model_of
+
+MACHINES = ("cat215b", "wheel_loader")
+SWEEPS = 2000
+"""Of a long run: a hundred times as many as identification makes."""
+RUNS = 8
+"""Long runs, each with random numbers of its own, that are averaged."""
+ROUNDING = 1e-12
+"""Relative change of all residuals' rows that stands for other rounding."""
+
+
+def intervals() -> None:
+    """Intervals of one log with the same random numbers by NumPy and after other rounding, and by many draws."""
+    print(f"{'machine':>14} {'':>38} {'std, worst':>12} {'95 % width, worst':>18} {'mean':>8}")
+    for name in MACHINES:
+        model = model_of(name, "intervals")
+        motion = random_trajectory(model, duration=33.28, rate=50.0, seed=1)
+        log = simulate(model, motion, random_truth(model, seed=1), seed=1)
+        problem = identification_problem(load_machine(name), [log])
+        usual = _mean(problem, [1])
+        with patch.object(ellipses, "compiled", lambda: None):
+            _show(name, "NumPy, same numbers", _mean(problem, [1]), usual)
+        with patch.object(posterior, "sample", _rounded(posterior.sample)):
+            _show(name, "other rounding, same numbers", _mean(problem, [1]), usual)
+        with patch.object(posterior, "SWEEPS", SWEEPS):
+            long = _mean(problem, range(2, 2 + RUNS))
+            with patch.object(posterior, "sample", _rounded(posterior.sample)):
+                other = _mean(problem, range(102, 102 + RUNS))
+        _show(name, "20 sweeps against many", usual, long)
+        _show(name, "many draws, other rounding and numbers", other, long)
+    print("target: 1 % by many draws; what more 20 sweeps are off by is the noise of their draws")
+
+
+def _mean(problem: IdentificationProblem, seeds: Sequence[int]) -> np.ndarray:
+    """Standard deviations and widths (2, k) of identifications with these random numbers."""
+    sums = np.zeros((2, len(problem.parameters)))
+    for seed in seeds:  # each holds its samples
+        found = identify(problem, "sdp", seed=seed)
+        sums += found.std**2, np.ptp(found.ci95, axis=1)
+    std, width = np.sqrt(sums[0] / len(seeds)), sums[1] / len(seeds)
+    return np.array([std, width])[:, np.isfinite(std) & (std > 0)]
+
+
+def _show(machine: str, label: str, one: np.ndarray, other: np.ndarray) -> None:
+    std, width = one / other - 1
+    print(f"{machine:>14} {label:>38} {100 * np.max(np.abs(std)):10.4f} % {100 * np.max(np.abs(width)):16.4f} % "
+          f"{100 * np.mean(width):6.2f} %", flush=True)
+
+
+def _rounded(sample: Any) -> Any:
+    def made(problem: Any, R: np.ndarray, r: np.ndarray, *more: Any, **options: Any) -> Any:
+        noise = np.random.default_rng(0).uniform(-ROUNDING, ROUNDING, R.shape)
+        return sample(problem, R * (1 + noise), r, *more, **options)
+
+    return made
