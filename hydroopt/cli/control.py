@@ -44,8 +44,8 @@ def control(
     controller: Annotated[list[str] | None, typer.Option(help=(
         f"Controller to try, {', '.join(KINDS)}; repeatable; {' and '.join(UNASKED)} if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
-        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
-        "and a phase margin of 45 degrees, 1.6 of 8.5 dB and 36 degrees."))] = 1.3,
+        "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.6 keeps a gain margin of 8.5 dB, "
+        "1.3 of 12.7 dB. Every value keeps a phase margin of 45 degrees."))] = 1.6,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
     drawn: Annotated[int, typer.Option("--draws", min=0, max=1000, help=(
         "Machines to draw from the file's confidences as well; each is identified from a test of its valves and "

@@ -81,14 +81,14 @@ def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -
 
 @pytest.mark.slow
 def test_loops_are_as_robust_as_their_gains_were_tuned_to_be(exact: Comparison) -> None:
-    """A sensitivity of M keeps a gain margin of M/(M − 1) and a phase margin of 2·arcsin(1/(2·M))."""
+    """A sensitivity of M keeps a gain margin of M/(M − 1), and that of its complement, T, a phase margin of 45°."""
     most = exact.setting.sensitivity
     for outcome in exact.outcomes:
         if outcome.kind == LQG:
             continue
         assert len(outcome.margins) == len(exact.points)
         assert min(margin.gain for margin in outcome.margins) > most / (most - 1) * 0.99
-        assert min(margin.phase for margin in outcome.margins) > 2 * np.arcsin(1 / (2 * most)) * 0.99
+        assert min(margin.phase for margin in outcome.margins) > np.radians(45)
         assert min(margin.distance for margin in outcome.margins) > 0.99 / most
         assert min(margin.damping for margin in outcome.margins) > 0
 
@@ -186,14 +186,15 @@ def test_a_truth_of_driven_valves_is_that_of_the_plant(setting: Setting, tmp_pat
 
 
 def test_less_damping_and_uncertain_valves_are_told(exact_feedforward: Comparison) -> None:
-    """Loops that just hold pass; the same with half the room for valves, or with a mode that hardly decays, do not."""
+    """Loops with valves known four times as well pass; as the file knows them, or if a mode hardly decays, not."""
     best = exact_feedforward.winner
-    lost = exact_feedforward.lost_margins
+    uncertain = exact_feedforward.lost_margins
+    lost = [each._replace(lost=each.lost / 4) for each in uncertain]
     assert {each.loop for each in lost} == {"lift_cylinder"}
     assert not {Kind.LITTLE_DAMPING, Kind.MARGINS_BY_VALVES} & {d.kind for d in margin_diagnostics(best, lost)}
-    uncertain = [each._replace(lost=6 * each.lost) for each in lost]
     (found,) = margin_diagnostics(best, uncertain)
-    assert (found.kind, found.evidence["parameter"]) == (Kind.MARGINS_BY_VALVES, "lift_cylinder.rated_flow")
+    most = max(uncertain, key=lambda each: each.lost)
+    assert (found.kind, found.evidence["parameter"]) == (Kind.MARGINS_BY_VALVES, most.parameter)
     ringing = replace(best, margins=(*best.margins, best.margins[0]._replace(damping=0.006, damping_at=20.0)))
     (found,) = margin_diagnostics(ringing, lost)
     assert found.kind is Kind.LITTLE_DAMPING
