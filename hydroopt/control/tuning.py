@@ -147,9 +147,10 @@ def _singular_values(matrix: Array) -> tuple[Array, Array]:
             squares = np.sum(np.abs(matrix) ** 2, axis=(-2, -1))
             determinant = np.abs(matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0])
             greatest = np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0.0))) / 2)
-            return determinant / np.maximum(greatest, np.finfo(float).tiny), greatest
+            least: Array = determinant / np.maximum(greatest, np.finfo(float).tiny)
+            return least, greatest.astype(float)
         case _:
-            values = np.linalg.svd(matrix, compute_uv=False)
+            values: Array = np.linalg.svd(matrix, compute_uv=False).astype(float)
             return values[..., -1], values[..., 0]
 
 

@@ -228,26 +228,30 @@ class Verdict:
         return bool(about) and all(use.usable is Usable.YES for use in about)
 
     def card(self, width: int = WIDTH) -> str:
-        """The verdict as plain text for a terminal: of at most `LINES` lines, or as much text in narrower ones."""
+        """The verdict as plain text for a terminal: of at most `LINES` lines, or as much text in narrower ones.
+
+        The first next step is always there.
+        """
         width = max(NARROWEST, min(WIDTH, width))
         limit = LINES * WIDTH // width
-        for most in (6, 4, 3, 2, 1):
-            lines = self._lines(most, width)
-            if len(lines) <= limit:
+        for most, conditions in ((6, True), (4, True), (3, True), (2, True), (1, True), (1, False)):
+            lines, steps = self._lines(most, width, conditions=conditions), self._steps(max(1, most // 2), width)
+            if len(lines) + len(steps) <= limit:
                 break
-        return "\n".join(lines[:limit])
+        return "\n".join([*lines[:max(limit - len(steps), 1)], *steps])
 
-    def _lines(self, most: int, width: int) -> list[str]:
-        """The card with so many subjects a purpose, and half as many next steps, at most."""
+    def _steps(self, most: int, width: int) -> list[str]:
+        return [line for step in self.next_steps[:most] for line in _wrapped(step.text, "next", width)]
+
+    def _lines(self, most: int, width: int, *, conditions: bool) -> list[str]:
+        """The card without next steps, with so many subjects a purpose at most."""
         lines = _wrapped(f"{self.title}: {self.status}{f'. {self.cause}' if self.cause else ''}", "", width)
         if self.finding:
             lines += _wrapped(self.finding, "found", width)
         for usable in Usable:
             for purpose in Purpose:
                 if some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)]:
-                    lines += _wrapped(f"{purpose}: {_folded(some, most)}", usable, width)
-        for step in self.next_steps[:max(1, most // 2)]:
-            lines += _wrapped(step.text, "next", width)
+                    lines += _wrapped(f"{purpose}: {_folded(some, most, conditions=conditions)}", usable, width)
         return lines
 
     @property
@@ -255,7 +259,7 @@ class Verdict:
         """Cause, what it is usable for, what not, and the next step: texts by their headings, for a notebook."""
         said = {str(self.status): self.cause} if self.cause else {}
         for usable in Usable:
-            texts = [f"{purpose}: {_folded(some, 3)}" for purpose in Purpose if (
+            texts = [f"{purpose}: {_folded(some, 3, conditions=True)}" for purpose in Purpose if (
                 some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)])]
             said |= {str(usable): ". ".join(texts)} if texts else {}
         return said | ({"next": self.next_steps[0].text} if self.next_steps else {})
@@ -283,14 +287,15 @@ class Verdict:
                    str(entry.get("finding", "")))
 
 
-def _folded(uses: Sequence[Use], most: int) -> str:
-    """The figures of several uses by the reason that they share, then their conditions."""
+def _folded(uses: Sequence[Use], most: int, *, conditions: bool) -> str:
+    """The figures of several uses by the reason that they share, then their conditions if they are wanted."""
     groups: dict[str, list[Use]] = {}
     for use in uses:
         groups.setdefault(use.reason, []).append(use)
     said = [": ".join(filter(None, [_figures(some, -(-most // len(groups))), reason]))
             for reason, some in groups.items()]
-    return "; ".join(filter(None, [*said, *dict.fromkeys(use.condition for use in uses if use.condition)][:3]))
+    on = dict.fromkeys(use.condition for use in uses if use.condition and conditions)
+    return "; ".join(filter(None, [*said, *on][:3]))
 
 
 def _figures(uses: Sequence[Use], most: int) -> str:

@@ -108,6 +108,7 @@ class Kind(StrEnum):
     NO_CALIBRATED_MACHINE = "no calibrated machine"
     RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
     MISFIT_CAUSE = "likeliest cause of the misfit"
+    LATE_POSITIONS = "friction turns before the velocity"
     LACK_OF_FIT = "lack of fit"
     FASTER_THAN_SMOOTHING = "residuals faster than smoothing passes"
     SPIKES = "spikes"
@@ -215,8 +216,9 @@ OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE
                          Kind.SENSOR_STUCK, Kind.SENSOR_HELD, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
-    Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.FASTER_THAN_SMOOTHING,
-    Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
+    Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LATE_POSITIONS, Kind.LACK_OF_FIT,
+    Kind.FASTER_THAN_SMOOTHING, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO,
+    Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.COMMANDS_LATE, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
@@ -359,6 +361,10 @@ WORDS: dict[Kind, Words] = {
         "The likeliest cause of the misfit: {cause}, by {size:.3g} ± {std:.2g} {unit}{others}. Both halves of the data "
         "show it alike, and it leaves no misfit.",
         "{remedy}"),
+    Kind.LATE_POSITIONS: Words(
+        "The positions of {joint} are read {late:.0f} ± {std:.0f} ms late: so much earlier than its velocity the dry "
+        "friction of {actuator} turns, at {count} reversals.",
+        "Correct the times of {joint} in the log."),
     Kind.LACK_OF_FIT: Words(
         "The residuals of {worst} {course}, {ratio:.3g} times as large as noise and smoothing explain "
         "({said}){others}. The model lacks something that is not in the list of faults, or several faults at once.",

@@ -101,14 +101,14 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
             noticeable = sought.take(i)
             found = sought.solved()
         shows = min(1.0, (NOTICED * full_scale / noticeable) ** 2)
-        shown = (1 - FORGOTTEN) * shown + shows
+        shown = min(1.0, (1 - FORGOTTEN) * shown + shows)
         resting, settled, calm = 0 if shown >= 1 else resting + 1, settled + shows, calm + (i >= start)
         change = found.change
-        if i >= start and not changing and change.ratio > THRESHOLD and abs(change.size) > NOTICED * full_scale:
+        another = i >= start and change.ratio > THRESHOLD and abs(change.size) > NOTICED * full_scale
+        if another and (not changing or calm > LASTS):
+            start = i + 1 if changing else i + max(1, LASTS - change.ago)
             number, changing, settled, calm = number + 1, True, 0.0, 0
-            start = i + max(1, LASTS - change.ago)
-        elif i >= start and changing and change.ratio > GOES_ON:
-            number += calm > LASTS  # that is another change
+        elif i >= start and changing and calm <= LASTS and change.ratio > GOES_ON:
             start, settled, calm = i + 1, 0.0, 0
         changing = changing and settled < SETTLED
         status = _status(found, sought.rows, full_scale, needed)

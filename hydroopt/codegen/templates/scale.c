@@ -658,18 +658,18 @@ static {{ p }}_status_t advance(const {{ p }}_constants_t *constants, const {{ p
         shows = (noticeable < noticed) ? {{ 1 | number }} : square(noticed / noticeable);
     }
     scale->evidence = (({{ 1 | number }} - FORGOTTEN) * scale->evidence) + shows;
+    scale->evidence = (scale->evidence < {{ 1 | number }}) ? scale->evidence : {{ 1 | number }};
     scale->resting = (scale->evidence >= {{ 1 | number }}) ? 0U : (scale->resting + ((scale->resting < (uint32_t)RESTING) ? 1U : 0U));
     scale->settled += shows;
     scale->calm += (weighing != 0) ? 1U : 0U;
-    if ((weighing != 0) && (scale->changing == 0U) && (scale->change_ratio > THRESHOLD)
+    if ((weighing != 0) && ((scale->changing == 0U) || (scale->calm > (uint32_t)LASTS)) && (scale->change_ratio > THRESHOLD)
         && (fabs{{ f }}(scale->change_size) > noticed)) {
+        scale->start = i + (((scale->changing == 0U) && ((uint32_t)LASTS > (scale->change_ago + 1U))) ? ((uint32_t)LASTS - scale->change_ago) : 1U);
         scale->shown.load++;
         scale->changing = 1U;
         scale->settled = {{ 0 | number }};
         scale->calm = 0U;
-        scale->start = i + (((uint32_t)LASTS > (scale->change_ago + 1U)) ? ((uint32_t)LASTS - scale->change_ago) : 1U);
-    } else if ((weighing != 0) && (scale->changing != 0U) && (scale->change_ratio > GOES_ON)) {
-        scale->shown.load += (scale->calm > (uint32_t)LASTS) ? 1U : 0U; /* that is another change */
+    } else if ((weighing != 0) && (scale->changing != 0U) && (scale->calm <= (uint32_t)LASTS) && (scale->change_ratio > GOES_ON)) {
         scale->start = i + 1U;
         scale->settled = {{ 0 | number }};
         scale->calm = 0U;

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic import diagnostics, usability
+from hydroopt.estimation.dynamic import diagnostics, reversals, usability
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.identification import Identification
@@ -71,7 +71,9 @@ class Estimate(Identification, Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
         tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit)
-        return (*self.of_logs, *tested, *diagnostics.diagnose(self))
+        # a cause of a misfit may move what friction does at reversals
+        late = () if self.misfit is None or self.misfit.causes else reversals.diagnose(self)
+        return (*self.of_logs, *tested, *late, *diagnostics.diagnose(self))
 
     @cached_property
     def of_logs(self) -> tuple[Diagnostic, ...]:

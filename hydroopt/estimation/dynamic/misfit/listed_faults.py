@@ -108,7 +108,7 @@ def _of_forces(view: View, k: int) -> Iterator[Fault]:
     factors = actuator.effort_factors if actuator else {}
     chambers = [channel for each in balance.actuators for channel in each.effort_factors if channel in view.pressures]
     for channel in chambers:
-        yield Scaled("gain", (channel,), f"{channel} reads too much, or the area that it acts on is larger than stated",
+        yield Scaled("gain", (channel,), f"{channel} reads too much, or the area stated for it is too large",
                      "%", TYPICAL, 100.0)
     if not chambers:
         yield Added("gain", (name,), f"the force readings of {name} are too large", "%", TYPICAL, 100.0,
