@@ -15,6 +15,7 @@ from hydroopt.estimation.kinematic.inclination_checks import refuse_misread_incl
 from hydroopt.estimation.kinematic.instrument_poses import refuse_unseen
 from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.planned_readings import refuse_planned
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import loop_fit, predicted
 from hydroopt.estimation.kinematic.solution import HIERARCHICAL, JOINT, METHODS
@@ -111,6 +112,7 @@ def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
     refuse_unseen(problem)
     refuse_untouched(problem)
     refuse_misread_inclination(problem)
+    refuse_planned(problem)
     refuse_misread(problem)
     return problem
 

@@ -41,14 +41,15 @@ class Calibration(KinematicSolution, Answer):
         all_poses: the calibration with all poses, if those that contradict the others were left out afterwards.
         compliance_choice: which joints give way, if that was chosen by held-out poses.
 
-    >>> import hydroopt, numpy as np
+    >>> import hydroopt
+    >>> from hydroopt.simulation.pose_table import simulate_poses
     >>> machine = hydroopt.load_machine("panda_mukca")
     >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
-    >>> problem = hydroopt.calibration_problem(machine, plan.poses)
-    >>> calibration = hydroopt.solve(problem)
+    >>> measured = simulate_poses(hydroopt.KinematicModel(machine), plan.postures, random=True, noise=False)
+    >>> calibration = hydroopt.solve(hydroopt.calibration_problem(machine, measured.poses, priors=False))
     >>> calibration.status, calibration.parameters["panda_joint3.d"].kind
     (<Status.OK: 'ok'>, 'length')
-    >>> bool(abs(calibration["panda_joint3.d"].value - 0.316) < 1e-6)
+    >>> bool(abs(calibration["panda_joint3.d"].value - measured.truth["panda_joint3.d"]) < 1e-6)
     True
     """
 

@@ -19,8 +19,12 @@ from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.notebook_card import Shown
+
+UNFILLED = "fill in what the sensors and instruments read at each pose"
+"""Remedy for a table of poses that was not measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,7 +34,7 @@ class CalibrationProblem(PoseEquations, Shown):
     >>> import hydroopt, numpy as np
     >>> machine = hydroopt.load_machine("panda_mukca")
     >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
-    >>> problem = hydroopt.calibration_problem(machine, plan.poses)
+    >>> problem = hydroopt.calibration_problem(machine, plan.postures)
     >>> print(str(problem).splitlines()[0])
     calibration of panda_mukca: 40 poses of plan for panda_mukca
     >>> problem.nlp()
@@ -122,11 +126,13 @@ def calibration_problem(machine: GivenMachine, poses: Poses, validation: Poses |
     >>> import hydroopt
     >>> machine = hydroopt.load_machine("panda_mukca")
     >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
-    >>> hydroopt.calibration_problem(machine, plan.poses, fixed={"tip.x": 0.0})
+    >>> hydroopt.calibration_problem(machine, plan.postures, fixed={"tip.x": 0.0})
     <CalibrationProblem of panda_mukca: 35 parameters from 40 poses>
     """
     machine = machine_of(machine, "calibration_problem")
     all_of([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
+    for each in [poses] if validation is None else [poses, validation]:
+        _refuse_unfilled(machine, each)
     model = KinematicModel(machine)
     builder = LayoutBuilder(machine, model, poses)
     if not len(builder.parameter_set()):
@@ -137,3 +143,11 @@ def calibration_problem(machine: GivenMachine, poses: Poses, validation: Poses |
         model, poses, validation, builder.parameter_set(), builder.layout(), builder.angle_sigma(),
         builder.row_sigma(), builder.distances(), builder.exact() | dict(fixed or {}), priors)
     return placed(problem.fixing(**problem.fixed))
+
+
+def _refuse_unfilled(machine: Machine, poses: Poses) -> None:
+    """Refuse a table without a reading; zeros where a datum is touched are part of the plan."""
+    datums = {datum.name for datum in machine.datums}
+    if not any(np.any(np.isfinite(values)) for name, values in poses.channels.items()
+               if name.partition(".")[0] not in datums):
+        raise ProblemError("no reading is filled in", where=next(iter(poses.sha256), poses.name), remedy=UNFILLED)

@@ -152,13 +152,10 @@ class PosePlan(Answer):
 
     @property
     def poses(self) -> Poses:
-        """The table to fill in: angles of the joints that are read as planned, zero where a datum is touched, all else
-        empty."""
-        read = {f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.joints)}
-        empty = np.full(len(self.q), np.nan)
-        joints = {name: values if name in self.problem.channels else empty for name, values in read.items()}
-        more = {name: empty for name in self.problem.channels if name not in joints}
-        return self._table(joints | more | self._touches)
+        """The table to fill in: zero where a datum is touched, all else empty, so that no planned position passes for a
+        reading."""
+        names = dict.fromkeys((*(f"{joint}.q" for joint in self.joints), *self.problem.channels))
+        return self._table({name: np.full(len(self.q), np.nan) for name in names} | self._touches)
 
     @property
     def _touches(self) -> dict[str, Array]:

@@ -174,7 +174,7 @@ def test_the_machine_file_carries_the_calibrator() -> None:
     read = read_machine(done.files()["cat215b.toml"])
     assert (read.calibrator, read.fixtures, read.sensors) == (
         done.machine.calibrator, done.machine.fixtures, done.machine.sensors)
-    assert hydroopt.calibration_problem(read, done.poses).parameters.names == done.problem.parameters.names
+    assert hydroopt.calibration_problem(read, done.postures).parameters.names == done.problem.parameters.names
 
 
 @pytest.mark.slow

@@ -88,8 +88,11 @@ def test_the_plan_can_be_saved_loaded_and_read_by_calibrate(tmp_path: Path) -> N
     assert ran.exit_code == 0
     assert "readings in" in ran.output
     assert load(tmp_path).details()["target_m"] == 0.02
-    poses = hydroopt.read_poses(tmp_path / "poses.csv")
-    assert hydroopt.calibration_problem(load_machine(FILE), poses).parameters
+    poses, planned = (hydroopt.read_poses(tmp_path / f"{name}.csv") for name in ("poses", "postures"))
+    assert set(poses.channels) >= set(planned.channels)
+    for table, words in ((poses, "no reading is filled in"), (planned, "no reading that the geometry can be compared")):
+        with pytest.raises(ProblemError, match=words):
+            hydroopt.solve(hydroopt.calibration_problem(load_machine(FILE), table))
 
 
 @pytest.mark.parametrize(("machine", "tip", "options", "sentence"), [

@@ -294,9 +294,12 @@ def test_plan_is_an_answer_that_can_be_saved_and_loaded(plan, tmp_path):
     prior = CAT.notes["boom.joint.a"].spread(CAT.link("boom").joint.a)
     assert answer.parameters["boom.a"].prior_std == pytest.approx(prior)
     assert loaded.details() == answer.details()
-    np.testing.assert_array_equal(read_poses(tmp_path / "poses.csv").channels["yoke.q"],
-                                  answer.q[:, answer.joints.index("yoke")])
-    assert np.all(np.isnan(answer.poses.channels["stick.q"])), "moves without a sensor, or is locked"
+    unfilled = read_poses(tmp_path / "poses.csv")
+    assert {"yoke.q", "stick.q"} <= set(unfilled.channels)
+    assert all(np.all(np.isnan(values)) for values in unfilled.channels.values()), "what is planned is no reading"
+    for table, words in ((unfilled, "no reading is filled in"), (answer.postures, "they are planned, not measured")):
+        with pytest.raises(ProblemError, match=words):
+            hydroopt.solve(hydroopt.calibration_problem(CAT, table))
     np.testing.assert_array_equal(answer.postures.channels["stick.q"], answer.q[:, answer.joints.index("stick")])
 
 
