@@ -29,6 +29,8 @@ BEYOND = 1.02
 """Cosine of that angle from which the target is out of reach, however the axes lean."""
 GAP = 1e-4
 """Distance [m] of the tip from the target from which it counts as missed."""
+SHORTEST = 1e-6
+"""Length [m] of a part of the arm below which it counts as none."""
 STRETCHED = 1e-3
 """Volume of the directions in which the joints move the tip, below which these do not determine the posture."""
 
@@ -58,10 +60,21 @@ def no_arm(api: Symbols) -> str:
         return "no joint moves the tip"
     if any(machine.link(joint).joint.type != "revolute" for joint in solved):
         return f"{', '.join(solved)} do not all turn"
-    steps = [np.array(ca.DM(step.rotation))[2, 2] for step in _steps(Geometry(machine), solved, {})[0][1:]]
+    frames, tip = _steps(Geometry(machine), solved, {})
+    steps = [np.array(ca.DM(step.rotation))[2, 2] for step in frames[1:]]
     if (len(solved) == 3 and abs(steps[0]) > ACROSS) or (len(solved) > 1 and abs(steps[-1]) < ALIGNED):
         return f"{', '.join(solved)} are not one joint with two parallel ones across it, nor parallel"
+    if not ca.symvar(ca.SX(tip)) and _off_axis(tip) < SHORTEST:
+        return f"the tip, the far end of {machine.tip}, lies on the axis of {solved[-1]}, which cannot move it"
+    if len(solved) > 1 and _off_axis(frames[-1].origin) < SHORTEST:
+        return f"the axes of {solved[-2]} and {solved[-1]} coincide"
     return ""
+
+
+def _off_axis(point: ca.SX) -> float:
+    """Distance [m] of a point from the z axis."""
+    x, y = np.array(ca.DM(point)).ravel()[:2]
+    return float(np.hypot(x, y))
 
 
 def _steps(geometry: Geometry, solved: tuple[str, ...], q: dict[str, ca.SX]) -> tuple[list[Pose], ca.SX]:

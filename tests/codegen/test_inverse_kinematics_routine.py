@@ -11,8 +11,11 @@ import pytest
 from fixtures import library
 from fixtures.library import DEAD_POINT, OK, OUT_OF_STROKE, SINGULAR, UNREACHABLE, Library
 from fixtures.tiers import tiered
+from hydroopt.codegen.inverse_kinematics import no_arm
+from hydroopt.codegen.symbols import Symbols
 from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.inverse_kinematics import inverse_kinematics
 from hydroopt.model.model import Model
 from oracles.complex_machine import ComplexMachine
@@ -121,3 +124,16 @@ def test_arms_without_a_closed_form_say_why() -> None:
     for name, reason in (("panda", "are not one joint with two parallel ones across it"),
                          ("spatial", "are not one joint with two parallel ones across it")):
         assert reason in library.subject(name, "double").interface.impossible["inverse_kinematics"]
+
+
+def test_an_arm_without_a_length_at_its_end_has_no_inverse_kinematics() -> None:
+    """As one from a URDF file without the frame of a tool: its code held 'nan.0'."""
+    for name, without, reason in (
+            ("cat215b", "stick", "the tip, the far end of stick, lies on the axis of stick, which cannot move it"),
+            ("cat215b", "boom", "the axes of boom and stick coincide"), ("cat215b", "", "")):
+        machine = load_machine(name)
+        joints = {link.name: link.joint.model_copy(update={"a": 0.0} if link.name == without else {})
+                  for link in machine.links}
+        shorter = machine.model_copy(update={"links": tuple(
+            link.model_copy(update={"joint": joints[link.name]}) for link in machine.links)})
+        assert no_arm(Symbols(shorter)) == reason
