@@ -76,9 +76,10 @@ class _Writer:
         yield (f"joint = {{ type = \"revolute\", d = {self._length(f'{slew}.height')}, "
                f"a = {self._length(f'{slew}.offset')}, alpha = \"90 deg\", lower = \"-180 deg\", upper = \"180 deg\", "
                f"{self._pace(30, 30)} }}")
-        radius = 0.25 * size
+        # a ring as high as its radius; a flat one is on the bound of what a body can have, and beyond it once rounded
+        turning = mass * (0.25 * size) ** 2
         yield from self._body("links.body", mass, (-0.1 * size, 0.0, 0.1 * size), (
-            mass * radius**2 / 2, mass * radius**2 / 2, mass * radius**2), 0.2, 0.1 * size)
+            turning * 7 / 12, turning * 7 / 12, turning), 0.2, 0.1 * size)
 
     def _link(self, k: int, member: Member) -> Iterator[str]:
         length = self.sketch.number(f"{member.name}.length")

@@ -38,6 +38,14 @@ def test_a_typical_machine_is_accepted_and_marked_as_assumed(kind: str) -> None:
     notes = machine.notes.values()
     assert all((note.source or "").startswith("assumed") or note.source == "level ground" for note in notes)
     assert sum(note.sigma is not None for note in notes) >= 8
+    bodies = [body for part in (*machine.links, *(end for each in machine.cylinders for end in (each.barrel, each.rod)))
+              if (body := part.body) is not None and body.inertia_com is not None]
+    assert bodies
+    for body in bodies:
+        xx, xy, xz, yy, yz, zz = body.inertia_com
+        small, middle, large = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        assert small > 0
+        assert small + middle > 1.001 * large, "rounding must leave a body that can be"
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "arm"])
