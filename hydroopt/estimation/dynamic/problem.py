@@ -122,7 +122,7 @@ class IdentificationProblem(Shown):
         """With a named constraint: a linear one as text, ``"boom.m + stick.m == 2518 kg"``, or a function.
 
         The function, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``, is called with parameters [SI] in cvxpy for
-        the convex methods and in CasADi for ``nlp``.
+        the convex methods, which are the default, and in CasADi for ``nlp``.
 
         Raises:
             ProblemError: the name exists already, or the text is no linear relation between parameters.
@@ -135,7 +135,8 @@ class IdentificationProblem(Shown):
 
     def with_prior(self, name: str, expression: str | Expression, *, value: float | None = None,
                    sigma: float | None = None) -> IdentificationProblem:
-        """With a linear expression, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI.
+        """With a linear expression, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI. A function,
+        which may be given in place of the text, must be linear too, whatever the method.
 
         Without these a text states all with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It joins the file's priors.
 

@@ -67,16 +67,28 @@ class Constraint:
     name: str
     relation: Expression
 
-    def evaluated(self, named: Named) -> Any:
-        """The relation in a solver's own symbols.
+    def evaluated(self, named: Named, *, convex: bool = False) -> Any:
+        """The relation in a solver's own symbols, those of cvxpy where the method is `convex`.
 
         Raises:
             ProblemError: the function failed, for instance at a chain such as ``1 <= x <= 2``.
         """
-        try:
-            return self.relation(named)
-        except ProblemError:
-            raise
-        except Exception as error:
-            raise ProblemError(f"its function failed ({error})".replace("\n", " "), where=f"constraint '{self.name}'",
-                               remedy="state one relation, left == right, left <= right or left >= right") from error
+        remedy = "state one relation, left == right, left <= right or left >= right"
+        return result_of(self.relation, named, f"constraint '{self.name}'", remedy + (
+            "; if it has functions of casadi, solve with method 'nlp', since the convex methods pass cvxpy expressions"
+            if convex else ""))
+
+
+def result_of(expression: Expression, named: Named, where: str, remedy: str) -> Any:
+    """What a user's function returns.
+
+    Raises:
+        ProblemError: it failed.
+    """
+    try:
+        return expression(named)
+    except ProblemError:
+        raise
+    except Exception as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(". ")
+        raise ProblemError(f"its function failed ({reason})", where=where, remedy=remedy) from error

@@ -135,7 +135,7 @@ def constraints_of(problem: InferenceProblem, posterior: GaussianPosterior, z: c
     for constraint in problem.constraints:
         if constraint.name in without:
             continue
-        relation = constraint.evaluated(view)
+        relation = constraint.evaluated(view, convex=True)
         if not isinstance(relation, cp.Constraint):
             raise no_relation(constraint)
         named[constraint.name] = [relation]

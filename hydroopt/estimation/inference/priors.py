@@ -11,11 +11,14 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.conditions import total_mass
-from hydroopt.estimation.inference.constraints import Expression, Named
+from hydroopt.estimation.inference.constraints import Expression, Named, result_of
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
+
+NOT_LINEAR = "state what is not linear by subject_to and solve with method 'nlp', which holds it exactly"
+"""Remedy for a prior that is no linear sum."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +45,11 @@ def linear_prior(parameters: ParameterSet, name: str, expression: Expression, va
                            remedy="give a finite value and a positive sigma, or a constraint")
     symbols = ca.SX.sym("p", len(parameters))
     named = Named(parameters, lambda k: symbols[k])
-    result = ca.SX(expression(named))
+    result = result_of(lambda p: ca.SX(expression(p)), named, f"prior '{name}'", NOT_LINEAR)
     row = ca.jacobian(result, symbols)
     if result.shape != (1, 1) or ca.depends_on(row, symbols) or not row.nnz():
         raise ProblemError("the expression is not one linear sum of parameters", where=f"prior '{name}'",
-                           remedy="use a constraint with method 'nlp' for anything else")
+                           remedy=NOT_LINEAR)
     at_zero = ca.Function("prior", [symbols], [row, result])(ca.DM.zeros(symbols.shape))
     return Prior(name, np.asarray(ca.DM(at_zero[0])).ravel(), value - float(at_zero[1]), sigma)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -260,6 +260,18 @@ def test_linear_methods_refuse_what_they_cannot_honour(noisy: IdentificationProb
 def test_priors_that_are_none_are_refused(noisy: IdentificationProblem, expression: Any, sigma: float) -> None:
     with pytest.raises(ProblemError, match="prior 'odd'"):
         noisy.with_prior("odd", expression, value=1.0, sigma=sigma)
+
+
+def test_functions_of_casadi_are_for_the_nonlinear_method(noisy: IdentificationProblem) -> None:
+    def root(p: Mapping[str, Any]) -> Any:
+        return ca.sqrt(p["stick.m"]) <= 20.0
+
+    with pytest.raises(ProblemError, match=r"constraint 'root': its function failed \(Wrong .*method 'nlp'") as caught:
+        identify(noisy.subject_to("root", root), intervals=False)
+    assert "prototypes" not in str(caught.value)
+    for expression in (lambda p: ca.sqrt(p["stick.m"]), lambda p: cp.sqrt(p["stick.m"])):
+        with pytest.raises(ProblemError, match=r"prior 'root': .*state what is not linear by subject_to .* 'nlp'"):
+            noisy.with_prior("root", expression, value=20.0, sigma=1.0)
 
 
 def test_names_of_constraints_are_taken_once(noisy: IdentificationProblem) -> None:
