@@ -56,6 +56,15 @@ def test_every_key_of_a_machine_file_has_a_docstring(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
+def test_every_row_of_the_commands_page_has_its_two_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    text = runpy.run_path(str(ROOT / "docs/extension/commands.py"))["pages"]()["commands.md"]
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert any("--reserve PART" in row for row in rows)
+    assert not [row for row in rows if len(re.findall(r"(?<!\\)\|", row)) != 3]
+
+
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("page", ["index", "generated/api", "reference/machine_file", "tutorials/own_csv"])
 def test_readers_of_screens_find_no_barrier(page: str, site: Path) -> None:

@@ -412,7 +412,7 @@ WORDS: dict[Kind, Words] = {
         "State the confidence of their masses, at most 30 %."),
     Kind.ACTIVE_CONSTRAINTS: Words("Active at the most probable parameters: {subject}."),
     Kind.NOT_EXCITED: Words(
-        "The machine could identify {subject}, but this motion does not excite them.",
+        "The machine could identify {subject}, which this motion does not excite.",
         "Drive a motion that `hydroopt excite` designs."),
     Kind.NOT_IDENTIFIABLE: Words("No motion of this machine identifies {subject}."),
     Kind.CONFOUNDED: Words(
