@@ -89,7 +89,7 @@ def test_what_each_stage_identifies() -> None:
 
 
 def test_the_answer_keeps_and_prints_the_iterations_of_each_stage() -> None:
-    problem, _ = excavator(count=15)
+    problem, _ = excavator(count=15, noise=0)
     solved = calibrate(problem, "hierarchical")
     kept = solved.details()["stages"]
     assert [stage["stage"] for stage in kept] == ["stick_moves", "boom_moves", "swing_moves", "all"]
