@@ -135,8 +135,7 @@ class IdentificationProblem(Shown):
 
     def with_prior(self, name: str, expression: str | Expression, *, value: float | None = None,
                    sigma: float | None = None) -> IdentificationProblem:
-        """With a linear expression, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI. A function,
-        which may be given in place of the text, must be linear too, whatever the method.
+        """With a linear expression or function, such as ``"boom.m + stick.m"``, known to be ``value ± sigma``, in SI.
 
         Without these a text states all with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It joins the file's priors.
 
