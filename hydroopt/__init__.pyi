@@ -40,6 +40,9 @@ from .excitation.calibrator.problem import calibrator_problem as calibrator_prob
 from .excitation.motion.design import excitation_problem as excitation_problem
 from .excitation.motion.excitation import Excitation as Excitation
 from .excitation.motion.problem import ExcitationProblem as ExcitationProblem
+from .excitation.next.plan import WhatNext as WhatNext
+from .excitation.next.problem import WhatNextProblem as WhatNextProblem
+from .excitation.next.problem import what_next_problem as what_next_problem
 from .excitation.poses.measure_up import MeasureUpProblem as MeasureUpProblem
 from .excitation.poses.measure_up import measure_up_problem as measure_up_problem
 from .excitation.poses.measure_up_plan import MeasureUpPlan as MeasureUpPlan

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from hydroopt.excitation.calibrator.problem import CalibratorProblem
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.problem import ExcitationProblem
+    from hydroopt.excitation.next.plan import WhatNext
+    from hydroopt.excitation.next.problem import WhatNextProblem
     from hydroopt.excitation.poses.measure_up import MeasureUpProblem
     from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
     from hydroopt.excitation.poses.plan import PosePlan
@@ -43,7 +45,8 @@ SOLVERS = {
     ("hydroopt.excitation.poses.measure_up", "MeasureUpProblem"): (
         "hydroopt.excitation.poses.measure_up", "fewest_readings"),
     ("hydroopt.excitation.calibrator.problem", "CalibratorProblem"): (
-        "hydroopt.excitation.calibrator.design", "design_calibrator")}
+        "hydroopt.excitation.calibrator.design", "design_calibrator"),
+    ("hydroopt.excitation.next.problem", "WhatNextProblem"): ("hydroopt.excitation.next.plan", "plan_next")}
 """Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
 
 
@@ -65,6 +68,8 @@ def solve(problem: PoseProblem, **options: Any) -> PosePlan: ...
 def solve(problem: MeasureUpProblem, **options: Any) -> MeasureUpPlan: ...
 @overload
 def solve(problem: CalibratorProblem, **options: Any) -> CalibratorDesign: ...
+@overload
+def solve(problem: WhatNextProblem, **options: Any) -> WhatNext: ...
 
 
 def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
@@ -72,15 +77,15 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
 
     Args:
         problem: identification, kinematic calibration, both together, sensors, valves and oil, the design of a motion
-            or of poses, a measure-up, or a calibrator.
+            or of poses, a measure-up, a calibrator, or what to measure next.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
             `hydroopt.estimation.kinematic.calibrate.calibrate`,
             `hydroopt.estimation.combined.combined.identify_with_geometry`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
             `hydroopt.excitation.poses.exchange.fedorov_exchange`,
-            `hydroopt.excitation.poses.measure_up.fewest_readings` or
-            `hydroopt.excitation.calibrator.design.design_calibrator`.
+            `hydroopt.excitation.poses.measure_up.fewest_readings`,
+            `hydroopt.excitation.calibrator.design.design_calibrator` or `hydroopt.excitation.next.plan.plan_next`.
 
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.

@@ -35,7 +35,7 @@ ROOMS = (
     ("weighing",),
     ("excitation.criteria",),
     ("excitation.motion", "excitation.poses"),
-    ("excitation.calibrator",),
+    ("excitation.calibrator", "excitation.next"),
     ("control",),
     ("codegen",),
     ("study",),

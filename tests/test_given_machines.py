@@ -56,6 +56,7 @@ GEOMETRY: dict[str, Taking] = {
     "pose_problem": lambda m, logs: ho.pose_problem(m, 20),
     "calibrator_problem": lambda m, logs: ho.calibrator_problem(m, 5),
     "measure_up_problem": lambda m, logs: ho.measure_up_problem(m, tip=0.01),
+    "what_next_problem": lambda m, logs: ho.what_next_problem(m),
     "calibration_problem": lambda m, logs: ho.calibration_problem(m, ho.Poses("a", stage=np.array(["low"]), channels={
         f"{joint}.q": np.array([0.1]) for joint in ho.load_machine(ARM).joints})),
     "inverse_kinematics": lambda m, logs: ho.inverse_kinematics(m, [4.0, 1.0, -1.0]),

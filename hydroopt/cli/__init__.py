@@ -20,8 +20,8 @@ from hydroopt.cli.terminal import echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
 JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
-        "Measure": ("excite", "plan-poses", "measure-up", "design-calibrator", "plan-valve-test", "simulate", "map",
-                    "check"),
+        "Measure": ("what-next", "excite", "plan-poses", "measure-up", "design-calibrator", "plan-valve-test",
+                    "simulate", "map", "check"),
         "Identify and calibrate": ("identify", "identify-valves", "identify-payload", "compare", "calibrate",
                                    "calibrate-sensors"),
         "Weigh": ("weigh",),

@@ -39,6 +39,7 @@ class Job(StrEnum):
     EXCITATION = "excitation"
     POSE_PLAN = "pose plan"
     CALIBRATOR = "calibrator design"
+    NEXT = "next measurements"
     CHANGE = "comparison of two sessions"
     CHANGE_HISTORY = "comparison of several sessions"
     PAYLOAD = "identification of a payload"
@@ -52,6 +53,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CALIBRATOR: "design.json",
+         Job.NEXT: "next.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
          Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json"}

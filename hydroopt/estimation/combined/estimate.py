@@ -20,10 +20,11 @@ from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.machine.calibrated_numbers import with_calibrated
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
+from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import csv_text, number
+from hydroopt.results.tables import number
 from hydroopt.results.verdict import Purpose, Use, determined
 from hydroopt.spatial.inertia import Array
 
@@ -160,6 +161,4 @@ class CombinedEstimate(Estimate):
     def files(self) -> Mapping[str, str]:
         """As of an `Estimate`, and the covariance of all numbers [SI]."""
         names = (*self.numbers.names, *self.problem.parameters.names)
-        table = [{"name": name, **dict(zip(names, values, strict=True))}
-                 for name, values in zip(names, self.covariance.tolist(), strict=True)]
-        return {**super().files(), "covariance.csv": csv_text(table)}
+        return {**super().files(), COVARIANCE: covariance_csv(names, self.covariance)}

@@ -24,6 +24,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
+from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
@@ -240,6 +241,12 @@ class Calibration(KinematicSolution, Answer):
         files = {"parameters.csv": self.parameters.to_csv(), "residuals.csv": csv_text(self._residual_rows()),
                  "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
                                       for data, table in self.fit.items() for channel, fit in table.items()])}
+        known = [k for k, name in enumerate(self.observability.names)
+                 if np.isfinite(self.std[self.problem.parameters.index(name)])]
+        if known:
+            files[COVARIANCE] = covariance_csv(
+                [self.observability.names[k] for k in known],
+                self.observability.covariance[np.ix_(known, known)] * max(1.0, self.noise_scale) ** 2)
         if self.sides:
             roles = {"train": self.problem.poses, "validation": self.problem.validation}
             files["sides.csv"] = csv_text(table_of(self.sides, {role: poses.row for role, poses in roles.items()

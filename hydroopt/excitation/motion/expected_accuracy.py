@@ -40,6 +40,9 @@ class ExpectedAccuracy:
         before: (p,) of all parameters by the machine file's confidences and the logs already measured.
         after: (p,) of all parameters by these and the motion.
         sigma: (n,) of the residuals of the actuators' forces [N, N·m].
+        rows: (k, p) what the motion alone tells of ψ: sums of parameters that it measures with errors that are
+            independent and of variance 1.
+        by_force: (k, N, n) by how much errors of the N samples' forces [1/N, 1/(N·m)] put these off.
     """
 
     base: Array
@@ -47,6 +50,8 @@ class ExpectedAccuracy:
     before: Array
     after: Array
     sigma: Array
+    rows: Array
+    by_force: Array
 
 
 def measured_information(machine: Machine, logs: Sequence[AnyLog]) -> Array:
@@ -108,8 +113,14 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
                                   * np.outer(scale, scale))
     prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
     alone, both = _LeastSquares(rows[:, basis]), _LeastSquares(np.vstack([rows, prior]))
-    return ExpectedAccuracy(scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
-                       scale * _LeastSquares(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma)
+    measured_by = np.linalg.qr(alone.along(noisy[basis]).T, mode="r").T
+    told = alone.axes[alone.present] * alone.unit / scale[basis] @ structure.grouping
+    by_force = alone.along(pulled[:, :, basis].reshape(-1, len(basis)).T)
+    told, by_force = np.linalg.solve(measured_by, told), np.linalg.solve(measured_by, by_force)
+    return ExpectedAccuracy(
+        scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
+        scale * _LeastSquares(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma, told,
+        by_force.reshape(len(told), *pulled.shape[:2]))
 
 
 class _LeastSquares:
@@ -126,6 +137,9 @@ class _LeastSquares:
 
     def std(self, errors: Array) -> Array:
         """Sizes (p,) of ``(RᵀR)⁻¹·E·n`` with n white, for errors E (p, ·); infinite where R has no rank."""
-        axes = self.axes[self.present]
-        spread = axes.T @ (axes @ (errors / self.unit[:, None]) / self.size[:, None] ** 2)
+        spread = self.axes[self.present].T @ self.along(errors)
         return np.where(self.undetermined, np.inf, np.linalg.norm(spread, axis=1) / self.unit)
+
+    def along(self, errors: Array) -> Array:
+        """What errors E (p, ·) change along the axes that R determines (k, ·), in units of the columns' sizes."""
+        return np.asarray(self.axes[self.present] @ (errors / self.unit[:, None]) / self.size[:, None] ** 2)

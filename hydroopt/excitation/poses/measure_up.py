@@ -18,23 +18,17 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.observability import linearise, observability
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.exchange import candidate_postures
 from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
-from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, calibration_of, pose_problem
+from hydroopt.excitation.poses.posture_readings import PostureReadings, gains, tip_rows
+from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, pose_problem
 from hydroopt.excitation.poses.readings import DRIVE, Reading, readings
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.notebook_card import Shown
 from hydroopt.progress import Progress, silent
-from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
-FAINT_INFORMATION = 1e-6
-"""Information of every parameter in units of its scale, beside what is known of it: keeps every variance finite."""
-WORKSPACE = 500
-"""Postures that stand for the workspace."""
 HELPS = 1e-4
 """Relative gain of the tip's variance from which on a reading helps."""
 MOST = 400
@@ -217,22 +211,14 @@ class _Choice:
 
     def __init__(self, problem: MeasureUpProblem, q: Array, labels: PoseLabels) -> None:
         self.problem, self.q, self.labels = problem, q, labels
-        self.calibration = calibration_of(problem.poses, q, labels)
-        present = self.calibration.layout.present
-        channels = self.calibration.model.channels
-        rows = [[channels.index(channel) for channel in each.channels if channel in channels]
-                for each in problem.readings]
-        self.rows = [np.array(each, dtype=int) for each in rows]
-        self.there = np.array([present[:, each].any(axis=1) for each in self.rows]).T
+        self.postures = PostureReadings(problem.poses, problem.readings, q, labels)
+        self.calibration, self.there = self.postures.calibration, self.postures.there
         self.by_hand = np.array([each.by_hand for each in problem.readings])
         self.minutes = np.array([each.minutes for each in problem.readings])
         self.chosen = np.zeros(self.there.shape, dtype=bool)
-        parameters = self.calibration.parameters
-        self.free = np.flatnonzero(self.calibration.free)
-        known = self.calibration.known[self.free]
-        self.scale = parameters.scale[self.free]
-        self.known = self.information = np.diag(known**2 + FAINT_INFORMATION / self.scale**2)
-        self.task = _tip_rows(self.calibration)[:, self.free]
+        self.free, self.scale = self.postures.free, self.postures.scale
+        self.known = self.information = self.postures.prior
+        self.task = tip_rows(self.calibration)[:, self.free]
         self.before = float(np.sqrt(self.variance()))
 
     def variance(self, information: Array | None = None) -> float:
@@ -249,20 +235,6 @@ class _Choice:
     def total(self) -> float:
         """Minutes of the readings chosen."""
         return float(DRIVE * self.chosen.any(axis=1).sum() + (self.chosen * self.minutes).sum())
-
-    def rows_of(self, places: NDArray[np.intp], read: NDArray[np.bool_]) -> Array:
-        """Whitened Jacobian (K, u, f) of postures (K,) in which some readings (K, R) are taken."""
-        problem = self.calibration.without(~np.isin(np.arange(len(self.q)), places))
-        part = self._reading(problem, read)
-        return linearise(part, part.parameters.nominal, self.q[places]).jacobian[:, :, self.free]
-
-    def _reading(self, problem: CalibrationProblem, read: NDArray[np.bool_]) -> CalibrationProblem:
-        """The problem of postures (K,) in which some readings (K, R) are taken, beside what belongs to none."""
-        layout = problem.layout
-        present = layout.present.copy()
-        for r, rows in enumerate(self.rows):
-            present[:, rows] &= read[:, r, None]
-        return replace(problem, layout=replace(layout, present=present))
 
     def forward(self, progress: Progress) -> bool:
         """From nothing, add the most useful readings per minute until the tip is known well enough; False if none does
@@ -282,7 +254,7 @@ class _Choice:
     def backward(self, progress: Progress) -> bool:
         """From all readings in all postures, leave out the least useful per minute; False if all are too few."""
         self.chosen[:] = self.there
-        rows = self.rows_of(np.arange(len(self.q)), self.chosen).reshape(-1, len(self.free))
+        rows = self.postures.rows_of(np.arange(len(self.q)), self.chosen).reshape(-1, len(self.free))
         self.information = self.known + rows.T @ rows
         progress("leaving out readings", 0.5)
         if self.variance() > self.problem.tip**2:
@@ -296,7 +268,7 @@ class _Choice:
         covariance, fresh = np.asarray(np.linalg.inv(self.information)), ~self.chosen.any(axis=1)
         best: tuple[float, int, NDArray[np.bool_], Array] | None = None
         for read, rows, spent in self._firsts:
-            gain = np.where(fresh, _gain(rows, covariance, self.task), 0.0) / spent
+            gain = np.where(fresh, gains(rows, covariance, self.task), 0.0) / spent
             k = int(np.argmax(gain))
             if best is None or gain[k] > best[0]:
                 best = float(gain[k]), k, read[k], rows[k].T @ rows[k]
@@ -321,7 +293,7 @@ class _Choice:
         for kind in [*single, np.ones(len(self.by_hand), dtype=bool)] if len(hands) > 1 else single:
             read = self.there & kind
             read[~(read & self.by_hand).any(axis=1)] = False
-            made.append((read, self.rows_of(np.arange(len(self.q)), read),
+            made.append((read, self.postures.rows_of(np.arange(len(self.q)), read),
                          DRIVE + float((read * self.minutes).sum(axis=1).max())))
         return made
 
@@ -331,7 +303,7 @@ class _Choice:
         places = np.flatnonzero(self.chosen.any(axis=1))
         if not len(places):
             return
-        now = self.rows_of(places, self.chosen[places])
+        now = self.postures.rows_of(places, self.chosen[places])
         now = now.transpose(0, 2, 1) @ now
         for r in np.flatnonzero(self.by_hand):
             changing = self.there[places, r] & possible[places, r]
@@ -341,7 +313,7 @@ class _Choice:
             read[:, r] ^= True
             alone = ~(read & self.by_hand).any(axis=1)
             read[alone] = False  # no one drives there for what reads by itself
-            other = self.rows_of(some, read)
+            other = self.postures.rows_of(some, read)
             other = other.transpose(0, 2, 1) @ other
             for k, at, more in zip(some, alone, np.where(read[:, r, None, None], 1, -1) * (other - now[changing]),
                                    strict=True):
@@ -394,7 +366,7 @@ class _Choice:
         touched = (read & (labels.touch[:, None] == names)).any(axis=1)
         labels = labels._replace(touch=np.where(touched, labels.touch, ""))
         kept = self.calibration.without(~np.isin(np.arange(len(self.q)), places))
-        kept = self._reading(kept, read)
+        kept = self.postures.reading(kept, read)
         q, model = self.q[places], self.problem.poses.model
         identified = observability(kept, linearise(kept, kept.parameters.nominal, q))
         lengths = model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
@@ -402,22 +374,3 @@ class _Choice:
         return MeasureUpPlan(self.problem.poses, candidates, seed, labels, q, lengths, identified, log_det,
                              self.problem.readings, read, kept.poses, self.problem.tip,
                              float(np.sqrt(self.variance())), self.before)
-
-
-def _gain(rows: Array, covariance: Array, task: Array) -> Array:
-    """By how much (K,) the rows (K, u, f) of each posture lower the sum of the variances of a task (s, f)."""
-    spread = rows @ covariance
-    core = np.eye(rows.shape[1]) + spread @ rows.transpose(0, 2, 1)
-    across = spread @ task.T
-    return np.asarray(np.einsum("kus,kus->k", across, np.linalg.solve(core, across)))
-
-
-def _tip_rows(calibration: CalibrationProblem) -> Array:
-    """Rows (s, P) whose squares sum up to the mean square displacement of the tip [m²] by parameters."""
-    model = calibration.model
-    low, high = postures.limits(model)
-    q = np.random.default_rng(0).uniform(low, high, (WORKSPACE, len(low)))
-    _, function = machine_end(model)
-    by_g = model.over(function, model.parameters.nominal, q)[1] / np.sqrt(WORKSPACE)
-    rows = np.linalg.qr(by_g.reshape(-1, by_g.shape[2]), mode="r")
-    return np.asarray(np.pad(rows, ((0, 0), (0, len(calibration.parameters) - by_g.shape[2]))))

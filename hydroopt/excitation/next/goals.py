@@ -1,0 +1,138 @@
+"""What measurements are for: the tip, forces, a load or single numbers, each to a standard deviation."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.estimation.dynamic.usability import POSTURES, RANGE, WEIGHED, load_effect
+from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.excitation.criteria import presumed_noise
+from hydroopt.model.model import Model
+from hydroopt.results.readable import percentage, readable
+from hydroopt.results.verdict import Purpose
+from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.spatial.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Goal(ABC):
+    """A standard deviation [`unit`] to reach.
+
+    Attributes:
+        purpose: what for.
+        subject: which part of the machine; "" for the whole of it.
+        unit: SI; ``1`` for a part of the force's range.
+        target: to reach.
+    """
+
+    purpose: Purpose
+    subject: str
+    unit: str
+    target: float
+
+    @abstractmethod
+    def rows(self, covariance: Array) -> Array:
+        """(s, P) rows T with which the variance is tr(T·C·Tᵀ) + `floor`, at a covariance C (P, P) and near it."""
+
+    def floor(self, covariance: Array) -> float:
+        """The part of the variance that stays however well the machine is known."""
+        return 0.0
+
+    def std(self, covariance: Array) -> float:
+        """At a covariance (P, P) of what is known."""
+        rows = self.rows(covariance)
+        return float(np.sqrt(max(np.sum((rows @ covariance) * rows), 0.0) + self.floor(covariance)))
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return str(self.purpose) if self.subject in str(self.purpose) else self.subject
+
+    def readable(self, value: float) -> str:
+        """A standard deviation as people write it."""
+        return percentage(value) if self.unit == "1" else readable(value, self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearGoal(Goal):
+    """The root mean square of `task` (s, P) times the numbers."""
+
+    task: Array
+
+    def rows(self, covariance: Array) -> Array:
+        """Those of the task."""
+        return self.task
+
+
+@dataclass(frozen=True, eq=False)
+class LoadGoal(Goal):
+    """A load at the tip, weighed by the forces of a slow lift in one of S postures, as `hydroopt weigh` does.
+
+    Attributes:
+        by_numbers: (S, r, P) derivatives of the forces by all numbers.
+        effect: (S, r) forces per mass of the load.
+        noise: (r,) variance of the averaged forces.
+    """
+
+    by_numbers: Array
+    effect: Array
+    noise: Array
+
+    def _weights(self, covariance: Array) -> Array:
+        """(S, r) of the forces in the load: generalised least squares."""
+        noisy = self.by_numbers @ covariance @ self.by_numbers.transpose(0, 2, 1) + np.diag(self.noise)
+        weighed = np.linalg.solve(noisy, self.effect[:, :, None])[:, :, 0]
+        return np.asarray(weighed / np.sum(weighed * self.effect, axis=1)[:, None])
+
+    def rows(self, covariance: Array) -> Array:
+        """Of the errors of the load in all postures."""
+        weights = self._weights(covariance)
+        return np.asarray(np.einsum("sr,srp->sp", weights, self.by_numbers) / np.sqrt(len(weights)))
+
+    def floor(self, covariance: Array) -> float:
+        """What noise of the forces leaves."""
+        return float(np.mean(np.sum(self._weights(covariance) ** 2 * self.noise, axis=1)))
+
+
+def force_goal(model: Model, by_geometry: Array, states: Sequence[Array], target: float) -> LinearGoal:
+    """The forces in a motion, each as a part of its range, root mean square over actuators and time.
+
+    Args:
+        model: the machine.
+        by_geometry: (N, r, f) derivatives of the forces by the numbers of the geometry.
+        states: q, qd, qdd of the motion (N, n) each.
+        target: part of the range, which is four standard deviations of the force.
+    """
+    K = model.over(model.regressor, *states)[0]
+    size = RANGE * np.std(K @ model.parameters.nominal, axis=0)
+    driven = size > 1e-6 * np.max(size)
+    rows = np.concatenate([by_geometry, K], axis=2)[:, driven] / size[driven, None]
+    rows = rows.reshape(-1, rows.shape[2]) / np.sqrt(rows.shape[0] * rows.shape[1])
+    return LinearGoal(Purpose.FORCES, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
+
+
+def load_goal(model: Model, forces: ForcesByGeometry, geometry: Array, motion: Trajectory, f: int,
+              target: float) -> LoadGoal:
+    """A load at the tip, weighed in random postures at a tenth of a motion's speed.
+
+    Args:
+        model: the machine.
+        forces: by the numbers of its geometry.
+        geometry: (k,) these numbers, the last of the f numbers of the geometry being others.
+        motion: whose speeds count.
+        f: numbers of the geometry.
+        target: standard deviation of the load [kg].
+    """
+    rng = np.random.default_rng(1)
+    q = random_states(model, POSTURES, rng)[0]
+    qd = 0.1 * np.sqrt(np.mean(motion.qd**2, axis=0)) * rng.choice([-1.0, 1.0], q.shape)
+    by_psi, by_g = forces.over(q, qd, 0 * q, model.parameters.nominal, geometry)[4:6]
+    by_g = np.pad(by_g, ((0, 0), (0, 0), (0, f - by_g.shape[2])))
+    effect = load_effect(model, q)
+    noise = presumed_noise(model) ** 2 / (sampling_rate(model.machine) * WEIGHED)
+    return LoadGoal(Purpose.WEIGHING, "", "kg", target, np.concatenate([by_g, by_psi], axis=2), effect, noise)

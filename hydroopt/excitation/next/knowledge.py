@@ -1,0 +1,164 @@
+"""What is known of geometry, bodies and friction before the next measurement: by the machine file and all answers.
+
+Everything is linear about the machine file's numbers. `first` is the covariance C of the errors δ = (δθ, δψ) that file,
+poses and answers leave. Motions are identified with the geometry known so far: the identification minimises
+``‖R_ψ·δψ + R_θ·δθ − ε‖² + ‖δψ − δψ₀‖²_Λ`` over δψ, with Λ the inverse of C's part of ψ, so that
+
+    δψ = H⁻¹·(Λ·δψ₀ − R_ψᵀ·R_θ·δθ + R_ψᵀ·ε),   H = Λ + R_ψᵀ·R_ψ:
+
+errors of the geometry are passed on to bodies and friction, and forces tell nothing of the geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.stored_information import stored_information
+from hydroopt.model.model import Model
+from hydroopt.results.answer import SavedAnswer, load
+from hydroopt.results.covariance_file import COVARIANCE, read_covariance
+from hydroopt.results.json_file import Job
+from hydroopt.results.status import Status
+from hydroopt.spatial.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What is known of P numbers: f of the geometry and of what poses share, then ψ.
+
+    Attributes:
+        names: of the numbers.
+        geometry: f.
+        first: (P, P) covariance C of their errors before motions are identified.
+        stated: (P, P) information that the machine file states.
+        by_motion: (P, P) the information RᵀR of motions, which are identified with the geometry known so far.
+    """
+
+    names: tuple[str, ...]
+    geometry: int
+    first: Array
+    stated: Array
+    by_motion: Array
+    _before: Array | None = None
+
+    @classmethod
+    def stating(cls, names: Sequence[str], of_geometry: Array, of_psi: Array) -> Knowledge:
+        """By information on the geometry (f, f) and on ψ (p, p) alone."""
+        f, count = len(of_geometry), len(names)
+        information, first = np.zeros((count, count)), np.zeros((count, count))
+        information[:f, :f], information[f:, f:] = of_geometry, of_psi
+        first[:f, :f], first[f:, f:] = inverse(of_geometry), inverse(of_psi)
+        return cls(tuple(names), f, first, information, np.zeros((count, count)))
+
+    def with_rows(self, rows: Array, own: slice, *, geometry_exact: bool) -> Knowledge:
+        """After rows (m, w) on `own` of the numbers, of a motion if the geometry counts as exact in it."""
+        if geometry_exact:
+            added = self.by_motion.copy()
+            added[own, own] += rows.T @ rows
+            return replace(self, by_motion=added, _before=self.before)
+        spread = rows @ self.first[own]
+        core = np.eye(len(rows)) + spread[:, own] @ rows.T
+        first = self.first - spread.T @ np.linalg.solve(core, spread)
+        apart = own.stop <= self.geometry and not self.first[self.own, self.dynamic].any()
+        return replace(self, first=(first + first.T) / 2, _before=self.before if apart else None)
+
+    @cached_property
+    def before(self) -> Array:
+        """Λ (p, p)."""
+        return inverse(self.first[self.dynamic, self.dynamic]) if self._before is None else self._before
+
+    @cached_property
+    def _identified(self) -> tuple[Array, Array]:
+        """Λ (p, p) and H⁻¹ (p, p)."""
+        return self.before, inverse(self.before + self.by_motion[self.dynamic, self.dynamic])
+
+    @cached_property
+    def passed_on(self) -> Array:
+        """(P, P) by how much errors after identification follow those before it."""
+        before, after = self._identified
+        made = np.eye(len(self.names))
+        made[self.dynamic, self.own] = -after @ self.by_motion[self.dynamic, self.own]
+        made[self.dynamic, self.dynamic] = after @ before
+        return made
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(P, P) of the errors of all numbers."""
+        if not self.by_motion.any():
+            return self.first
+        _, after = self._identified
+        made = self.passed_on @ self.first @ self.passed_on.T
+        made[self.dynamic, self.dynamic] += after @ self.by_motion[self.dynamic, self.dynamic] @ after
+        return np.asarray((made + made.T) / 2)
+
+    @property
+    def own(self) -> slice:
+        """Where the geometry is."""
+        return slice(0, self.geometry)
+
+    @property
+    def dynamic(self) -> slice:
+        """Where ψ is."""
+        return slice(self.geometry, len(self.names))
+
+    def with_answers(self, model: Model, folders: Sequence[str | Path]) -> Knowledge:
+        """Also what the answers in some folders tell.
+
+        Args:
+            model: of the machine that the answers are of.
+            folders: that `identify` or `calibrate` wrote.
+
+        Raises:
+            ProblemError: a folder holds none of these answers, or it is of another machine.
+        """
+        information = inverse(self.first)
+        for folder in folders:
+            places, added = self._added(model, Path(folder))
+            information[np.ix_(places, places)] += added
+        return replace(self, first=inverse(information), _before=None)
+
+    def _added(self, model: Model, folder: Path) -> tuple[list[int], Array]:
+        """Places (k,) of numbers, and the information (k, k) that an answer adds on them."""
+        answer = load(folder)
+        if answer.job not in (Job.IDENTIFICATION, Job.CALIBRATION):
+            raise ProblemError(f"this is a {answer.job}, which states no covariance of the machine's numbers",
+                               where=str(folder), remedy="name folders that identify or calibrate wrote")
+        if answer.status is not Status.OK:
+            raise ProblemError(f"the answer is {answer.status}, so that nothing can be planned from it",
+                               where=str(folder), remedy="do first what its report says, or leave it out")
+        if answer.machine_id.sha256 != model.machine.sha256:
+            raise ProblemError("the answer is of another machine description", where=str(folder),
+                               remedy="give the machine file that it was computed with")
+        if answer.job is Job.IDENTIFICATION and COVARIANCE not in answer.files():
+            triangles = stored_information(model, folder).triangles
+            rows = triangles.reshape(-1, triangles.shape[2])[:, :-1]
+            return list(range(self.geometry, len(self.names))), rows.T @ rows
+        return self._beyond_file(answer, folder)
+
+    def _beyond_file(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
+        text = answer.files().get(COVARIANCE)
+        if text is None:
+            raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
+                               remedy="calibrate again with this version, by method joint")
+        found, covariance = read_covariance(text, str(folder / COVARIANCE))
+        shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
+        taken, places = [k for k, _ in shared], [place for _, place in shared]
+        root = np.sqrt(np.diag(self.stated)[places])
+        root = np.where(root > 0, root, 1.0)
+        within = covariance[np.ix_(taken, taken)] * np.outer(root, root)
+        before = 0.0 if answer.details().get("priors") is False else (
+            self.stated[np.ix_(places, places)] / np.outer(root, root))
+        values, axes = np.linalg.eigh(np.linalg.inv(within) - before)
+        return places, axes * np.maximum(values, 0.0) @ axes.T * np.outer(root, root)
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a positive definite matrix whose numbers have any units."""
+    size = np.sqrt(np.diag(matrix))
+    return np.asarray(np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size))

@@ -1,0 +1,126 @@
+"""What could be measured next: of what kind, in which postures, in how many minutes, and what it would tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
+from hydroopt.excitation.poses.posture_readings import PostureReadings
+from hydroopt.excitation.poses.problem import PoseLabels
+from hydroopt.excitation.poses.readings import DRIVE, SET_UP, Reading
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import Trajectory
+from hydroopt.spatial.inertia import Array
+
+MOTION, DRIVEN = 10.0, 2.0
+"""Minutes to warm up and to clear the site, and for each motion of half a minute with its approach."""
+WEIGH, SCALE = 90.0, 0.005
+"""Minutes to take a link off, to weigh it and to put it back; standard deviation of a crane scale, as a part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A measurement of one kind, of which some parts may be taken.
+
+    Attributes:
+        name: such as ``station``, ``motion`` or ``weigh.boom``.
+        text: what to do.
+        set_up: minutes before the first part; 0 once something is set up.
+        minutes: of each part.
+        rows: (K, u, w) what each of K parts tells of w of all numbers, with errors independent and of variance 1.
+        own: which numbers these are.
+        q: (K, n) postures [rad, m] of the parts; (K, 0) where they have none.
+        labels: what these postures belong to.
+        motions: of the parts, where these are motions.
+        geometry_exact: whether they are identified with the geometry known so far.
+    """
+
+    name: str
+    text: str
+    set_up: float
+    minutes: float
+    rows: Array
+    own: slice
+    q: Array
+    labels: PoseLabels | None = None
+    motions: tuple[Trajectory, ...] = ()
+    geometry_exact: bool = False
+
+    def priced(self, minutes: Mapping[str, float]) -> Measurement:
+        """With stated minutes, by its name and its name with ``.set_up``."""
+        return replace(self, minutes=minutes.get(self.name, self.minutes),
+                       set_up=minutes.get(f"{self.name}.set_up", self.set_up))
+
+
+DOING = {"instrument": "Set up {}, and sight its targets", "datum": "Lay out {}, and touch it", "tape": "Tape {}",
+         "imu": "Mount {}, and read its inclination"}
+"""What to do, by the kind of reading."""
+
+
+def pose_measurements(postures: PostureReadings, readings: Sequence[Reading],
+                      labels: PoseLabels) -> Iterator[Measurement]:
+    """Readings in postures: those of one instrument, tape, datum or IMU, or of the calibrator in one fixture; joints
+    and transducers read along."""
+    along = np.array([each.kind == "transducer" for each in readings], dtype=bool)
+    fixed, touching = labels.fixture != "", labels.touch != ""
+
+    def taken(name: str, text: str, kind: str, places: NDArray[np.intp], own: NDArray[np.bool_]) -> Measurement:
+        spent = DRIVE + float(sum(each.minutes for each, mine in zip(readings, own, strict=True) if mine))
+        rows = postures.rows_of(places, postures.there[places] & (along | own))
+        return Measurement(name, text, SET_UP[kind], spent, rows, slice(0, rows.shape[2]), postures.q[places],
+                           PoseLabels(*(np.asarray(each)[places] for each in labels)))
+
+    none = np.zeros(len(readings), dtype=bool)
+    for fixture in dict.fromkeys(labels.fixture[fixed].tolist()):
+        yield taken(f"calibrator.{fixture}", f"Attach the calibrator, its tip in {fixture}", "calibrator",
+                    np.flatnonzero(labels.fixture == fixture), none)
+    for owner, kind in {each.owner: each.kind for each in readings if each.kind in DOING}.items():
+        own = np.array([each.owner == owner and each.kind == kind for each in readings])
+        alone = touching if kind == "datum" else ~touching
+        if len(places := np.flatnonzero(postures.there[:, own].any(axis=1) & ~fixed & alone)):
+            yield taken(owner, DOING[kind].format(owner), kind, places, own)
+    if len(places := np.flatnonzero(postures.there[:, along].any(axis=1) & ~fixed & ~touching)):
+        yield taken("transducers", "Drive to postures, and read joints and transducers", "transducer", places, none)
+
+
+def motion_measurement(model: Model, forces: ForcesByGeometry, geometry: Array, f: int,
+                       motions: Sequence[Trajectory]) -> Measurement:
+    """Motions to drive while forces are logged, each of which tells of ψ and, where the geometry is off, of both.
+
+    Args:
+        model: the machine.
+        forces: by the numbers of its geometry.
+        geometry: (k,) these numbers, which are the first of the f numbers of the geometry.
+        f: numbers of the geometry.
+        motions: to choose from.
+    """
+    structure, made = structural(model), []
+    if model.machine.imus:  # motion is planned by angles alone
+        model = Model(model.machine.model_copy(update={"imus": ()}))
+    for motion in motions:
+        told = expected_accuracy(model, motion, structure)
+        by_g = forces.over(motion.q, motion.qd, motion.qdd, model.parameters.nominal, geometry)[5]
+        off = np.einsum("ktn,tng->kg", told.by_force, by_g)
+        made.append(np.hstack([off, np.zeros((len(off), f - off.shape[1])), told.rows]))
+    most = max(map(len, made))
+    rows = np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made])
+    return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,
+                       slice(0, rows.shape[2]), np.zeros((len(made), 0)), motions=tuple(motions), geometry_exact=True)
+
+
+def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
+    """A link taken off and weighed, for each that has a mass and carries no other."""
+    carrying = {link.parent for link in model.machine.links}
+    for name in model.parameters.bodies:
+        place = model.parameters.positions.get(f"{name}.m")
+        if place is None or "." in name or name in carrying:
+            continue
+        row = np.zeros((1, 1, 1)) + 1 / (SCALE * model.parameters.nominal[place])
+        yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row,
+                          slice(f + place, f + place + 1), np.zeros((1, 0)))

@@ -1,0 +1,256 @@
+"""What to measure next: the machine with all answers so far, what measurements are for, and what could be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Never
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.excitation.next.goals import Goal, LinearGoal, force_goal, load_goal
+from hydroopt.excitation.next.knowledge import Knowledge
+from hydroopt.excitation.next.measurements import (
+    Measurement,
+    motion_measurement,
+    pose_measurements,
+    weighed_links,
+)
+from hydroopt.excitation.poses.exchange import candidate_postures
+from hydroopt.excitation.poses.posture_readings import FAINT_INFORMATION, PostureReadings, tip_rows
+from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
+from hydroopt.excitation.poses.readings import Reading, readings
+from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.model import Model
+from hydroopt.notebook_card import Shown
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.results.verdict import Purpose
+from hydroopt.simulation.simulate import Trajectory, random_trajectory, sampling_rate
+from hydroopt.spatial.inertia import Array
+
+DURATION, MOTIONS = 30.0, 3
+"""Seconds of a motion, and how many random ones stand for designed ones."""
+TASK, TASK_RATE = 1000, 10.0
+"""Seed and samples per second of the random motion in which forces are wanted where none is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class WhatNextProblem(Shown):
+    """What to measure next; solving never changes it.
+
+    Attributes:
+        machine: what is measured.
+        answers: folders of answers so far.
+        targets: standard deviations to reach, by goal: ``tip`` [m], ``force`` (part of its range), ``load`` [kg], and
+            masses by name [kg].
+        task: the motion in which forces are wanted, and whose speeds a load is weighed at a tenth of.
+        motions: that could be driven.
+        minutes: of measurements by name, and of setting up by name with ``.set_up``.
+        without: measurements that cannot be taken.
+        candidates: random postures of each group to choose from, drawn with `seed`.
+
+    See `what_next_problem`.
+    """
+
+    machine: Machine
+    answers: tuple[Path, ...]
+    targets: Mapping[str, float]
+    task: Trajectory
+    motions: tuple[Trajectory, ...]
+    minutes: Mapping[str, float] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
+    candidates: int = 60
+    seed: int = 0
+
+    @cached_property
+    def model(self) -> Model:
+        """Bodies and friction."""
+        return Model(self.machine)
+
+    @cached_property
+    def chain(self) -> KinematicModel:
+        """The geometry."""
+        return KinematicModel(self.machine)
+
+    @property
+    def of_poses(self) -> ParameterSet:
+        """The numbers of the geometry, and what poses share."""
+        return self.chain.parameters if self._postures is None else self._postures[0].calibration.parameters
+
+    @cached_property
+    def knowledge(self) -> Knowledge:
+        """By the machine file and all answers."""
+        parameters = self.model.parameters
+        psi = parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
+        names = (*self._geometry_names, *parameters.names)
+        return Knowledge.stating(names, self._geometry_prior, psi).with_answers(self.model, self.answers)
+
+    @cached_property
+    def measurements(self) -> tuple[Measurement, ...]:
+        """What could be measured."""
+        found = list[Measurement]()
+        if self._postures is not None:
+            found += pose_measurements(*self._postures)
+        if len(self.model.parameters) and any(name != "tip" for name in self.targets):
+            f = self.knowledge.geometry
+            found.append(motion_measurement(self.model, self._forces, self._geometry, f, self.motions))
+            found += weighed_links(self.model, f)
+        known = [each.name for each in found]
+        for where, names in (("without", self.without), ("minutes", [name.removesuffix(".set_up")
+                                                                     for name in self.minutes])):
+            for name in names:
+                if name not in known:
+                    raise ProblemError(f"there is no measurement '{name}'", where=where,
+                                       remedy=f"use {', '.join(known)}" if known else "leave it out")
+        kept = tuple(each.priced(self.minutes) for each in found if each.name not in self.without)
+        if not kept:
+            raise ProblemError("nothing can be measured", where=f"machine '{self.machine.name}'", remedy=(
+                "state bodies with sensors of pressures, or uncertain lengths with sensors that see them"))
+        return kept
+
+    @cached_property
+    def goals(self) -> tuple[Goal, ...]:
+        """What measurements are for."""
+        found, knowledge = list[Goal](), self.knowledge
+        p = len(knowledge.names)
+        for name, target in self.targets.items():
+            if name == "tip":
+                if self._postures is None:
+                    raise ProblemError("the machine states no uncertain number of its geometry", where="target of "
+                                       "'tip'", remedy="state a 'sigma' for lengths, angles and pins that may be off")
+                postures = self._postures[0]
+                rows = tip_rows(postures.calibration)[:, postures.free]
+                task = np.zeros((len(rows), p))
+                task[:, knowledge.own] = rows
+                found.append(LinearGoal(Purpose.POSITION, "tip", "m", target, task))
+            elif name == "force":
+                by_g = self._forces.over(self.task.q, self.task.qd, self.task.qdd, self.model.parameters.nominal,
+                                         self._geometry)[5]
+                by_g = np.pad(by_g, ((0, 0), (0, 0), (0, knowledge.geometry - by_g.shape[2])))
+                found.append(force_goal(self.model, by_g, (self.task.q, self.task.qd, self.task.qdd), target))
+            elif name == "load":
+                found.append(load_goal(self.model, self._forces, self._geometry, self.task, knowledge.geometry, target))
+            else:
+                k = self.model.parameters.index(name)
+                if self.model.parameters.kinds[k] is not ParameterKind.MASS:
+                    raise ProblemError(f"'{name}' is no mass", where=name, remedy="name one such as boom.m")
+                row = np.zeros((1, p))
+                row[0, knowledge.geometry + k] = 1.0
+                found.append(LinearGoal(Purpose.MASSES, name, "kg", target, row))
+        return tuple(found)
+
+    def nlp(self) -> Never:
+        """Refused.
+
+        Raises:
+            ProblemError: always: a combinatorial choice has no nonlinear program.
+        """
+        raise ProblemError("the choice of measurements is combinatorial and has no nonlinear program",
+                           where="what next", remedy="use hydroopt.solve")
+
+    def __repr__(self) -> str:
+        return f"<WhatNextProblem of {self.machine.name}: {', '.join(self.targets)}>"
+
+    def __str__(self) -> str:
+        wanted = (f"  {name} to {target:.4g}" for name, target in self.targets.items())
+        known = (f"  {folder}" for folder in self.answers)
+        return "\n".join([f"what to measure next of {self.machine.name}", "until standard deviations [SI] are", *wanted,
+                          *(["after", *known] if self.answers else [])])
+
+    @cached_property
+    def _postures(self) -> tuple[PostureReadings, Sequence[Reading], PoseLabels] | None:
+        """Candidate postures of all groups, what could be read in them, and what they belong to; None where nothing of
+        the geometry is uncertain or read."""
+        if not len(self.chain.parameters):
+            return None
+        try:
+            poses = pose_problem(self.machine, 1, priors=True)
+            channels = poses.channels
+        except ProblemError:
+            if "tip" in self.targets:
+                raise
+            return None
+        rng = np.random.default_rng(self.seed)
+        q = np.concatenate([candidate_postures(poses, group, self.candidates, rng) for group in poses.groups])
+        labels, read = poses.labels(self.candidates), readings(self.chain, channels)
+        return PostureReadings(poses, read, q, labels), read, labels
+
+    @cached_property
+    def _geometry_names(self) -> tuple[str, ...]:
+        return self._postures[0].names if self._postures else self.chain.parameters.names
+
+    @cached_property
+    def _geometry_prior(self) -> Array:
+        if self._postures:
+            return self._postures[0].prior
+        parameters = self.chain.parameters
+        return parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
+
+    @cached_property
+    def _numbers(self) -> tuple[str, ...]:
+        return tuple(name for name in self._geometry_names if name in self.chain.parameters.positions)
+
+    @cached_property
+    def _geometry(self) -> Array:
+        return self.chain.parameters.nominal[self.chain.parameters.select(self._numbers)]
+
+    @cached_property
+    def _forces(self) -> ForcesByGeometry:
+        return ForcesByGeometry(self.model, self._numbers)
+
+
+def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (), *,
+                      targets: Mapping[str, float] | None = None, task: Trajectory | None = None,
+                      motions: Sequence[Trajectory] = (), minutes: Mapping[str, float] | None = None,
+                      without: Sequence[str] = (), seed: int = 0) -> WhatNextProblem:
+    """What to measure next of a machine, by what is known of it so far.
+
+    Args:
+        machine: nominal description; states how far its numbers may be off, and what they may be measured with.
+        answers: folders that `identify` or `calibrate` wrote for this machine, of other measurements each.
+        targets: standard deviations to reach [SI]: ``tip`` [m], root mean square over the workspace; ``force``, as a
+            part of the force's range, root mean square over the task; ``load`` [kg], weighed at the tip; masses by
+            name, such as ``boom.m`` [kg]. By default the tip to 10 mm.
+        task: the motion in which forces are wanted; by default a random one.
+        motions: that could be driven, such as designed ones; by default three random ones.
+        minutes: of each part of a measurement by its name, such as ``{"station": 3.0, "motion": 5.0}``, and of setting
+            up, ``{"station.set_up": 0.0}``.
+        without: measurements that cannot be taken, by name.
+        seed: of the postures to choose from.
+
+    Raises:
+        ProblemError: a target or duration is wrong, or there is no such answer or measurement.
+
+    >>> import hydroopt
+    >>> problem = hydroopt.what_next_problem("patu655_lift", targets={"force": 0.01})
+    >>> [each.name for each in problem.measurements]
+    ['motion', 'weigh.lift']
+    >>> plan = hydroopt.solve(problem)
+    >>> plan.steps[0].measurement.name, plan.stopped
+    ('motion', 'all targets are met')
+    """
+    machine = machine_of(machine, "what_next_problem")
+    targets = dict(targets or {"tip": 0.01})
+    for name, value in targets.items():
+        if not (np.isfinite(value) and value > 0):
+            raise ProblemError(f"a standard deviation of {value:g} cannot be reached", where=f"target of '{name}'",
+                               remedy="give a positive one")
+    for name, spent in (minutes or {}).items():
+        if not (np.isfinite(spent) and spent >= 0):
+            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
+                               remedy="give a number from 0 on")
+    dynamic = [name for name in targets if name != "tip"]
+    if dynamic and not len(Model(machine).parameters):
+        raise ProblemError("the machine states no body or friction", where=f"target of '{dynamic[0]}'",
+                           remedy="state them in the machine file, or ask for the tip")
+    driven = tuple(motions) or tuple(random_trajectory(machine, duration=DURATION, rate=sampling_rate(machine), seed=k)
+                                     for k in range(MOTIONS))
+    task = random_trajectory(machine, duration=DURATION, rate=TASK_RATE, seed=TASK) if task is None else task
+    return WhatNextProblem(machine, tuple(map(Path, answers)), targets, task, driven, dict(minutes or {}),
+                           tuple(without), seed=seed)
