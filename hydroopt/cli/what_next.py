@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.answers import print_answer
-from hydroopt.cli.options import AsJson, Directory, MachineName, Quiet, Seed, progress
+from hydroopt.cli.options import AsJson, Directory, MachineName, MotionFile, Quiet, Seed, progress
 
 
 def what_next(
@@ -25,10 +25,10 @@ def what_next(
         "Standard deviation of a weighed load to reach, such as '10 kg'."))] = None,
     mass_std: Annotated[list[str] | None, typer.Option(metavar="NAME=MASS", help=(
         "Standard deviation of a mass to reach, such as 'boom.m=20 kg'; repeatable."))] = None,
-    task: Annotated[Path | None, typer.Option(help=(
-        "Log whose motion is the one in which forces are wanted; a random motion if not given."))] = None,
-    motion: Annotated[list[Path] | None, typer.Option(help=(
-        "Trajectory that could be driven, such as excite's; repeatable; random motions if not given."))] = None,
+    motion: MotionFile = None,
+    trajectory: Annotated[list[Path] | None, typer.Option(help=(
+        "Motion that could be driven to identify, such as excite's trajectory.csv; repeatable; random ones if not "
+        "given."))] = None,
     minutes: Annotated[list[str] | None, typer.Option(metavar="NAME=MINUTES", help=(
         "What a reading takes, such as tape=3; 0 for one that needs no hand; repeatable."))] = None,
     without: Annotated[list[str] | None, typer.Option(metavar="NAME", help=(
@@ -72,8 +72,8 @@ def what_next(
     with progress(f"choosing measurements of {described.name}", quiet) as say:
         problem = what_next_problem(
             described, answers or (), targets=targets,
-            task=None if task is None else reference_motion(described, read_log(task)),
-            motions=[reference_motion(described, read_log(each)) for each in motion or ()], minutes=spent,
+            task=None if motion is None else reference_motion(described, read_log(motion)),
+            motions=[reference_motion(described, read_log(each)) for each in trajectory or ()], minutes=spent,
             without=without or (), seed=seed)
         plan = plan_next(problem, minutes=float("inf") if budget is None else budget,
                          least=to_si(least, "1", where="--least"), progress=say)

@@ -21,7 +21,8 @@ def render(plan: WhatNext) -> str:
     spent = np.array([0.0, *accumulate(step.minutes for step in plan.steps)])
     targets = np.array([goal.target for goal in goals])
     lines = tuple((goal.name, LOOKS[k % len(LOOKS)], plan.stds[:, k] / targets[k]) for k, goal in enumerate(goals))
-    charts = [Curves("standard deviation / target", "minutes", spent, lines, limits=(1.0,))] if plan.steps else []
+    charts = [Curves("standard deviation / target", "minutes", spent, lines, limits=(1.0,),
+                     logarithmic=(False, True))] if plan.steps else []
     steps = [(plan.described(step), plain(step.minutes, 3),
               [goal.readable(std) for goal, std in zip(goals, plan.stds[k + 1].tolist(), strict=True)])
              for k, step in enumerate(plan.steps)]

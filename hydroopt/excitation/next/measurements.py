@@ -20,6 +20,8 @@ from hydroopt.spatial.inertia import Array
 
 MOTION, DRIVEN = 10.0, 2.0
 """Minutes to warm up and to clear the site, and for each motion of half a minute with its approach."""
+REPEATS = 4
+"""How often each motion may be driven."""
 WEIGH, SCALE = 90.0, 0.005
 """Minutes to take a link off, to weigh it and to put it back; standard deviation of a crane scale, as a part."""
 
@@ -109,9 +111,10 @@ def motion_measurement(model: Model, forces: ForcesByGeometry, geometry: Array, 
         off = np.einsum("ktn,tng->kg", told.by_force, by_g)
         made.append(np.hstack([off, np.zeros((len(off), f - off.shape[1])), told.rows]))
     most = max(map(len, made))
-    rows = np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made])
+    rows = np.tile(np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made]), (REPEATS, 1, 1))
     return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,
-                       slice(0, rows.shape[2]), np.zeros((len(made), 0)), motions=tuple(motions), geometry_exact=True)
+                       slice(0, rows.shape[2]), np.zeros((len(rows), 0)), motions=tuple(motions) * REPEATS,
+                       geometry_exact=True)
 
 
 def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
@@ -119,7 +122,7 @@ def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
     carrying = {link.parent for link in model.machine.links}
     for name in model.parameters.bodies:
         place = model.parameters.positions.get(f"{name}.m")
-        if place is None or "." in name or name in carrying:
+        if place is None or "." in name or name in carrying or not model.parameters.nominal[place]:
             continue
         row = np.zeros((1, 1, 1)) + 1 / (SCALE * model.parameters.nominal[place])
         yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row,

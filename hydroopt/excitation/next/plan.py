@@ -34,7 +34,14 @@ LEAST = 0.001
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WhatNext(Answer):
-    """Measurements to take, the next one first; see `what_next_problem`.
+    """Measurements to take, the next one first.
+
+    >>> import hydroopt
+    >>> plan = hydroopt.solve(hydroopt.what_next_problem("patu655_lift", targets={"force": 0.01}))
+    >>> plan.described(plan.steps[0])
+    'Drive motions that excite designs, and log angles and forces, 1 motion (about 12 min)'
+    >>> plan.sheet().splitlines()[0], plan.stds.shape
+    ('What to measure next of patu655_lift: 12 min, until all targets are met.', (2, 1))
 
     Attributes:
         problem: what was asked.
@@ -173,10 +180,10 @@ class WhatNext(Answer):
         """The sheet, the postures of the next measurement, and the table of numbers."""
         files = {"sheet.txt": self.sheet(), "parameters.csv": self.parameters.to_csv()}
         if self.steps and self.steps[0].measurement.labels is not None:
-            files["postures.csv"] = csv_text(self.postures(self.steps[0]))
+            files["postures.csv"] = csv_text(self._posture_rows(self.steps[0]))
         return files
 
-    def postures(self, step: Step) -> list[dict[str, Any]]:
+    def _posture_rows(self, step: Step) -> list[dict[str, Any]]:
         """Rows of a step's postures: what they belong to, and joint positions, as tables of poses have them."""
         measurement, machine = step.measurement, self.problem.machine
         assert measurement.labels is not None
