@@ -38,7 +38,7 @@ MUKCA = ROOT / "data/mukca_panda_2"
 CONTRACT = {*COMMON, "combinations", "conditioning", "correlations", "noise_scale", "suspects", "left_out",
             "uniqueness", "stages", "sides", "validation_coverage", "validation_ratio", "workspace", "loss", "priors",
             "fixed", "seed"}
-FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "residuals.csv", "cat215b.toml"}
+FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "residuals.csv", "covariance.csv", "cat215b.toml"}
 SECTIONS = ("Diagnostics", "Fit", "Parameters", "Accuracy over the workspace", "Conditioning",
             "Data", "Method")
 

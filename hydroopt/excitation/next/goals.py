@@ -83,7 +83,7 @@ class LoadGoal(Goal):
     effect: Array
     noise: Array
 
-    def _weights(self, covariance: Array) -> Array:
+    def weights(self, covariance: Array) -> Array:
         """(S, r) of the forces in the load: generalised least squares."""
         noisy = self.by_numbers @ covariance @ self.by_numbers.transpose(0, 2, 1) + np.diag(self.noise)
         weighed = np.linalg.solve(noisy, self.effect[:, :, None])[:, :, 0]
@@ -91,12 +91,12 @@ class LoadGoal(Goal):
 
     def rows(self, covariance: Array) -> Array:
         """Of the errors of the load in all postures."""
-        weights = self._weights(covariance)
+        weights = self.weights(covariance)
         return np.asarray(np.einsum("sr,srp->sp", weights, self.by_numbers) / np.sqrt(len(weights)))
 
     def floor(self, covariance: Array) -> float:
         """What noise of the forces leaves."""
-        return float(np.mean(np.sum(self._weights(covariance) ** 2 * self.noise, axis=1)))
+        return float(np.mean(np.sum(self.weights(covariance) ** 2 * self.noise, axis=1)))
 
 
 def force_goal(model: Model, by_geometry: Array, states: Sequence[Array], target: float) -> LinearGoal:

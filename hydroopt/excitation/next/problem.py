@@ -81,7 +81,7 @@ class WhatNextProblem(Shown):
     @property
     def of_poses(self) -> ParameterSet:
         """The numbers of the geometry, and what poses share."""
-        return self.chain.parameters if self._postures is None else self._postures[0].calibration.parameters
+        return self.chain.parameters if self.postures is None else self.postures[0].calibration.parameters
 
     @cached_property
     def knowledge(self) -> Knowledge:
@@ -95,8 +95,8 @@ class WhatNextProblem(Shown):
     def measurements(self) -> tuple[Measurement, ...]:
         """What could be measured."""
         found = list[Measurement]()
-        if self._postures is not None:
-            found += pose_measurements(*self._postures)
+        if self.postures is not None:
+            found += pose_measurements(*self.postures)
         if len(self.model.parameters) and any(name != "tip" for name in self.targets):
             f = self.knowledge.geometry
             found.append(motion_measurement(self.model, self._forces, self._geometry, f, self.motions))
@@ -121,10 +121,10 @@ class WhatNextProblem(Shown):
         p = len(knowledge.names)
         for name, target in self.targets.items():
             if name == "tip":
-                if self._postures is None:
+                if self.postures is None:
                     raise ProblemError("the machine states no uncertain number of its geometry", where="target of "
                                        "'tip'", remedy="state a 'sigma' for lengths, angles and pins that may be off")
-                postures = self._postures[0]
+                postures = self.postures[0]
                 rows = tip_rows(postures.calibration)[:, postures.free]
                 task = np.zeros((len(rows), p))
                 task[:, knowledge.own] = rows
@@ -164,7 +164,7 @@ class WhatNextProblem(Shown):
                           *(["after", *known] if self.answers else [])])
 
     @cached_property
-    def _postures(self) -> tuple[PostureReadings, Sequence[Reading], PoseLabels] | None:
+    def postures(self) -> tuple[PostureReadings, Sequence[Reading], PoseLabels] | None:
         """Candidate postures of all groups, what could be read in them, and what they belong to; None where nothing of
         the geometry is uncertain or read."""
         if not len(self.chain.parameters):
@@ -183,12 +183,12 @@ class WhatNextProblem(Shown):
 
     @cached_property
     def _geometry_names(self) -> tuple[str, ...]:
-        return self._postures[0].names if self._postures else self.chain.parameters.names
+        return self.postures[0].names if self.postures else self.chain.parameters.names
 
     @cached_property
     def _geometry_prior(self) -> Array:
-        if self._postures:
-            return self._postures[0].prior
+        if self.postures:
+            return self.postures[0].prior
         parameters = self.chain.parameters
         return parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -20,9 +21,12 @@ from hydroopt.excitation.next.knowledge import Knowledge
 from hydroopt.excitation.next.measurements import Measurement
 from hydroopt.excitation.next.plan import plan_next
 from hydroopt.excitation.next.sequence import State, lack, sequence
+from hydroopt.logs.poses import Poses
 from hydroopt.results.verdict import Purpose
+from hydroopt.simulation.pose_table import simulate_poses
 
 LIFT = "patu655_lift"
+SURVEYED = Path(__file__).parents[3] / "docs" / "how-to" / "measure_up.toml"
 
 
 def test_errors_of_the_geometry_pass_on_as_in_two_steps() -> None:
@@ -94,6 +98,29 @@ def test_answers_count_and_the_rule_stops(tmp_path: Path) -> None:
     assert plan_next(again).stds[0, 0] < 0.2 * first.stds[0, 0]
     assert plan_next(ho.what_next_problem(LIFT, targets={"force": 1e-6}), minutes=13).stopped == "the minutes are spent"
     assert "a minute" in plan_next(ho.what_next_problem(LIFT, targets={"force": 1e-6}), least=10.0).stopped
+
+
+@pytest.mark.slow
+def test_a_calibration_of_the_step_gives_what_was_expected_of_it(tmp_path: Path) -> None:
+    problem = ho.what_next_problem(SURVEYED, targets={"tip": 0.02})
+    plan = plan_next(problem)
+    step = plan.steps[-1]
+    taken = ho.what_next_problem(SURVEYED, targets={"tip": 0.02}, without=[
+        each.name for each in problem.measurements if each.name != step.measurement.name])
+    plan = plan_next(taken)
+    (step,) = plan.steps
+    q = step.measurement.q[list(step.parts)]
+    joints = problem.chain.joints
+    none = np.full(len(q), "")
+    table = Poses("planned", none, none, channels={f"{joint}.q": q[:, k] for k, joint in enumerate(joints)},
+                  units={f"{joint}.q": "rad" for joint in joints})
+    made = simulate_poses(problem.chain, table, seed=3)
+    owner = step.measurement.name
+    poses = replace(made.poses, channels={name: values for name, values in made.poses.channels.items()
+                                          if name.startswith(f"{owner}.") or name.endswith(".q")})
+    ho.solve(ho.calibration_problem(SURVEYED, poses)).save(tmp_path / "calibration")
+    again = plan_next(ho.what_next_problem(SURVEYED, [tmp_path / "calibration"], targets={"tip": 0.02}), minutes=1.0)
+    assert again.stds[0, 0] == pytest.approx(plan.stds[-1, 0], rel=0.1)
 
 
 def test_the_command_writes_sheet_page_and_json(tmp_path: Path) -> None:
