@@ -113,7 +113,7 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
                                   * np.outer(scale, scale))
     prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
     alone, both = _LeastSquares(rows[:, basis]), _LeastSquares(np.vstack([rows, prior]))
-    measured_by = np.linalg.qr(alone.along(noisy[basis]).T, mode="r").T
+    measured_by = np.asarray(np.linalg.qr(alone.along(noisy[basis]).T, mode="r")).T
     told = alone.axes[alone.present] * alone.unit / scale[basis] @ structure.grouping
     by_force = alone.along(pulled[:, :, basis].reshape(-1, len(basis)).T)
     told, by_force = np.linalg.solve(measured_by, told), np.linalg.solve(measured_by, by_force)
