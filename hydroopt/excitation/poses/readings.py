@@ -56,8 +56,8 @@ def readings(model: KinematicModel, channels: Sequence[str]) -> tuple[Reading, .
     found = []
     for name in (f"{cylinder.name}.length" for cylinder in machine.cylinders):
         sensor = machine.sensor(name)
-        by_itself = sensor is not None and sensor.rate is not None  # as a transducer does
-        found.append(Reading(name, (name,), BY_ITSELF if by_itself else TAPE, "transducer" if by_itself else "tape"))
+        rated = sensor is not None and sensor.rate is not None
+        found.append(Reading(name, (name,), TAPE, "transducer" if rated else "tape"))
     if machine.tracker:
         found.append(Reading("tip", tuple(f"tip.{axis}" for axis in "xyz"), SHOT, "instrument"))
     for each in model.measurements:
