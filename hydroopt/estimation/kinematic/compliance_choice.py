@@ -53,9 +53,11 @@ def choose_compliance(machine: Machine, poses: Poses) -> ComplianceChoice:
     Raises:
         ProblemError: gravity loads no joint by the machine file's masses, or there are too few poses.
 
-    >>> from hydroopt import load_machine, pose_problem, solve
+    >>> from hydroopt import KinematicModel, load_machine, pose_problem, solve
+    >>> from hydroopt.simulation.pose_table import simulate_poses
     >>> machine = load_machine("panda_mukca")
-    >>> poses = solve(pose_problem(machine, 20), candidates=50).poses
+    >>> plan = solve(pose_problem(machine, 20), candidates=50)
+    >>> poses = simulate_poses(KinematicModel(machine), plan.postures, seed=0).poses
     >>> choose_compliance(machine, poses).candidates[0].joints
     ()
     """

@@ -134,7 +134,8 @@ class Knowledge:
                                where=str(folder), remedy="do first what its report says, or leave it out")
         if answer.machine_id.sha256 != model.machine.sha256:
             raise ProblemError("the answer is of another machine description", where=str(folder),
-                               remedy="give the machine file that it was computed with")
+                               remedy="give the machine that it was computed with: its file, or the folder of the "
+                               "calibration that wrote it")
         if answer.job is Job.IDENTIFICATION and COVARIANCE not in answer.files():
             triangles = stored_information(model, folder).triangles
             rows = triangles.reshape(-1, triangles.shape[2])[:, :-1]
