@@ -128,6 +128,8 @@ def _offer(text: str) -> SensorOffer:
 def _workshop(machine: Machine, longest: str | None, ball: Sequence[Range], length_error: str,
               angle_error: str) -> Workshop:
     """What can be built: as usual for the machine, but for what the options say."""
+    from dataclasses import replace
+
     from hydroopt.excitation.calibrator.problem import usual_workshop
     from hydroopt.units import to_si
 
@@ -136,7 +138,8 @@ def _workshop(machine: Machine, longest: str | None, ball: Sequence[Range], leng
     ends = [tuple(to_si(text, "m", where=option) for text in stated or ()) or each
             for option, stated, each in zip(options, ball, zip(*usual.site, strict=True), strict=True)]
     (x0, x1), (y0, y1), (z0, z1) = ends
-    return usual._replace(
+    return replace(
+        usual,
         site=((x0, y0, z0), (x1, y1, z1)), length_error=to_si(length_error, "m", where="--length-error"),
         angle_error=to_si(angle_error, "rad", where="--angle-error"),
         longest=usual.longest if longest is None else to_si(longest, "m", where="--longest"))

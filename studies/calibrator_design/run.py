@@ -46,7 +46,7 @@ def angles_alone() -> Machine:
 def problem_of(asked: dict[str, float] | None, **workshop: object) -> CalibratorProblem:
     """Three links with sensors behind the grapple, which has one: as many as in the thesis."""
     problem = hydroopt.calibrator_problem(angles_alone(), POSES, links=(3, 3), keep=KEPT)
-    usual = problem.workshop._replace(site=SITE, **workshop)
+    usual = replace(problem.workshop, site=SITE, **workshop)
     return replace(problem, workshop=usual, length_std=asked or problem.length_std)
 
 
@@ -64,7 +64,7 @@ def of_thesis(problem: CalibratorProblem) -> CalibratorDesign:
 
 def again(design: CalibratorDesign, **errors: float) -> CalibratorDesign:
     """The same calibrator and poses, where its numbers are known to these errors only."""
-    workshop = design.workshop._replace(**errors)
+    workshop = replace(design.workshop, **errors)
     machine = carrying(angles_alone(), design.construction, design.values, workshop, KEPT)
     problem = replace(design.problem, machine=machine)
     return replace(design, problem=problem, workshop=workshop,

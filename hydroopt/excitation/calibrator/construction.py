@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,8 @@ class Size(NamedTuple):
     upper: float
 
 
-class Workshop(NamedTuple):
+@dataclass(frozen=True)
+class Workshop:
     """What may be built, and how accurately.
 
     Attributes:

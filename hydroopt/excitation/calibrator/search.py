@@ -43,8 +43,8 @@ class Search:
         self.sizes = tuple(sizes(construction, workshop, fixture_of(machine)))
         middle = {size.name: (size.lower + size.upper) / 2 for size in self.sizes}
         # sizes are parameters of the template also where the workshop builds them exactly
-        uncertain = workshop._replace(length_error=workshop.length_error or 1e-3,
-                                      angle_error=workshop.angle_error or 1e-3)
+        uncertain = replace(workshop, length_error=workshop.length_error or 1e-3,
+                            angle_error=workshop.angle_error or 1e-3)
         template = carrying(machine, construction, middle, uncertain, keep)
         exact = {"m": not workshop.length_error, "rad": not workshop.angle_error}
         made = (BRACKET, *construction.names)
