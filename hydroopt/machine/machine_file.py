@@ -39,7 +39,6 @@ from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
 from hydroopt.machine.sensor import Sensor
-from hydroopt.machine.toml_text import toml_text
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError, spread_to_si, to_si
 
@@ -353,7 +352,9 @@ def machine_file_tables(machine: Machine) -> dict[str, Any]:
 
 def dump_tables(tables: Mapping[str, Any]) -> str:
     """Text of a machine file's tables."""
-    return toml_text(tables)
+    import tomlkit  # noqa: PLC0415 (most commands write no machine)
+
+    return tomlkit.dumps(tables)
 
 
 def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
