@@ -36,7 +36,7 @@ from studies.cat215b_tracking.run import RATE, feasible
 DRAWS, FEWER = range(100, 150), range(100, 120)
 """Seeds of the machines; none of them served to improve anything."""
 SENSITIVITY = 1.6
-"""To which gains are tuned; `hydroopt control` takes 1.3 unless it is told otherwise."""
+"""To which gains are tuned, as `hydroopt control` does by default."""
 UNLIKE, UNEQUAL = 0.07, 0.3
 """Standard deviations of the four edges, and of the dead bands of both directions, as parts of themselves."""
 LATE = 0.030
