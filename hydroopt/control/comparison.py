@@ -116,7 +116,7 @@ class Comparison(Answer):
     def uses(self) -> tuple[Use, ...]:
         """Whether the best controller follows the motion with sound margins."""
         best = self.winner
-        weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_ELSEWHERE)
+        weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_IN_POSTURE)
                 if best.name in each.subject]
         condition = f"RMS of the tip on this motion, simulated; truth: {self.setting.true.text}"
         reason = best.run.stopped or (weak[0].text if weak else "")
@@ -316,7 +316,8 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         if type(controller) not in analysed:
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
         found, loops = analysed[type(controller)]
-        refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}])
+        refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}],
+                        setting.motion.t[-1] - setting.motion.t[0])
         run = simulate(demands, controller, true, setting.true.psi, setting.true_theta, seed=setting.seed,
                        bias=setting.bias, progress=at)
         reference = path.q[:len(run.t)]

@@ -52,11 +52,14 @@ def margin_diagnostics(best: Outcome, lost: Sequence[LostMargin]) -> Iterator[Di
 def _margins(setting: Setting, outcomes: Sequence[Outcome], feedforward: Outcome | None) -> Iterator[Diagnostic]:
     for outcome in outcomes:
         for each in setting.plant.actuators:
-            gain, phase, disk = (outcome.worst(each.actuator.name, key) for key in ("gain", "phase", "disk"))
+            gain, phase, disk, growing = (
+                outcome.worst(each.actuator.name, key) for key in ("gain", "phase", "disk", "damping"))
             if outcome.kind == FEEDFORWARD and outcome is not feedforward:
                 continue  # all feedforwards have the same loops
-            if unstable := next((m for m in (gain, phase) if m.damping < 0), None):
-                yield Diagnostic(Kind.UNSTABLE_ELSEWHERE, (outcome.name,), {"point": unstable.point})
+            if growing.damping < 0:
+                yield Diagnostic(Kind.UNSTABLE_IN_POSTURE, (outcome.name,), {
+                    "point": growing.point, "hertz": growing.damping_at / (2 * np.pi),
+                    "growth": float(np.expm1(growing.growth))})
                 break
             decibels, degrees = 20 * np.log10(gain.gain), np.degrees(phase.phase)
             if decibels < SMALL_DB or degrees < SMALL_DEG or disk.disk < SMALL_DISK:

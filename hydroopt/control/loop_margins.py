@@ -50,6 +50,11 @@ class Margin(NamedTuple):
     undisturbed: float
     disk: float
 
+    @property
+    def growth(self) -> float:
+        """Rate at which errors of an unstable loop grow [1/s]; zero where it is stable."""
+        return max(-self.damping * self.damping_at, 0.0)
+
     def as_dict(self) -> dict[str, str | float | None]:
         """The entry of a table, in dB, degrees and Hz; None where a number does not exist."""
         return {"loop": self.loop, "point": self.point, "gain_margin_db": number(20 * np.log10(self.gain)),

@@ -67,7 +67,7 @@ class Kind(StrEnum):
     POSITION_ASSUMED = "uncertain position of a joint taken as exact"
 
     # comparison of controllers
-    UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
+    UNSTABLE_IN_POSTURE = "loop unstable in a posture"
     SMALL_MARGINS = "small margins"
     LITTLE_DAMPING = "little damping"
     MARGINS_BY_VALVES = "margins depend on uncertain valves"
@@ -261,8 +261,10 @@ WORDS: dict[Kind, Words] = {
         "{subject} in {log} is far beyond its relief pressure of {relief_bar:.0f} bar in {share:.0f %} of the samples: "
         "up to {highest_bar:.0f} bar.",
         "Correct the unit of this column in the file or its map, or the relief pressure in the machine file."),
-    Kind.UNSTABLE_ELSEWHERE: Words(
-        "{subject} is unstable in the posture of {point}, which the motion does not reach."),
+    Kind.UNSTABLE_IN_POSTURE: Words(
+        "With {subject} errors at {hertz:.2g} Hz grow by {growth:.0%} a second in the posture of {point}, which the "
+        "motion passes too fast to be disturbed, or does not reach.",
+        "Do not stay there with this controller; a load that hangs almost undamped needs a brake."),
     Kind.SMALL_MARGINS: Words(
         "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}), {phase_deg:.0f} "
         "degrees ({phase_point}), and a disk margin of {disk:.2f} ({disk_point})."),
