@@ -17,7 +17,6 @@ from hydroopt.excitation.calibrator.design import design_calibrator, planned, se
 from hydroopt.excitation.calibrator.problem import CalibratorProblem
 from hydroopt.excitation.calibrator.program import JointProgram
 from hydroopt.excitation.calibrator.search import ROUNDS
-from hydroopt.excitation.poses.problem import linearised
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.pose_table import simulate_poses
 
@@ -62,13 +61,20 @@ def of_thesis(problem: CalibratorProblem) -> CalibratorDesign:
     return found
 
 
-def again(design: CalibratorDesign, **errors: float) -> CalibratorDesign:
-    """The same calibrator and poses, where its numbers are known to these errors only."""
-    workshop = replace(design.workshop, **errors)
-    machine = carrying(angles_alone(), design.construction, design.values, workshop, KEPT)
-    problem = replace(design.problem, machine=machine)
-    return replace(design, problem=problem, workshop=workshop,
-                   observability=observability(*linearised(problem, design.q, design.labels)))
+def both(**errors: float) -> tuple[dict[str, float], CalibratorDesign]:
+    """Deviations [m] by length with the thesis's calibrator, the better ones of two optimisations of its poses, and the
+    design, where calibrators are known to these errors."""
+    wide = {"span": float(np.radians(220.0)), **errors}
+    first = dict(of_thesis(problem_of(None, **wide)).length_deviations)
+    second = of_thesis(problem_of(first, **wide)).length_deviations
+    thesis = {name: min(std, second[name]) for name, std in first.items()}
+    return thesis, design_calibrator(replace(problem_of(thesis, **errors), least=True), starts=2)
+
+
+def less_exact(design: CalibratorDesign, factor: float) -> Machine:
+    """Machine and calibrator, whose numbers are known to so many times the errors only."""
+    workshop = replace(design.workshop, **{name: factor * each for name, each in ERRORS.items()})
+    return carrying(angles_alone(), design.construction, design.values, workshop, KEPT)
 
 
 def estimated(design: CalibratorDesign, machine: Machine, true: Machine) -> tuple[dict[str, float], float, int]:
@@ -99,30 +105,22 @@ def estimated(design: CalibratorDesign, machine: Machine, true: Machine) -> tupl
 
 def run() -> dict:
     """Deviations of both calibrators, and what drawn machines and calibrators make of them."""
-    wide = {"span": float(np.radians(220.0))}
-    first = of_thesis(problem_of(None, **wide))
-    asked = dict(first.length_deviations)
-    thesis = of_thesis(problem_of(asked, **wide))
-    asked = {name: min(std, thesis.length_deviations[name]) for name, std in asked.items()}
-    design = design_calibrator(replace(problem_of(asked), least=True), starts=2)
     result: dict = {}
-    for name, std in design.length_deviations.items():
-        result |= {f"thesis_mm_{name}": round(1e3 * asked[name], 2), f"designed_mm_{name}": round(1e3 * std, 2)}
-    result["least_ratio"] = round(min(asked[name] / std for name, std in design.length_deviations.items()), 2)
-    built, old = again(design, **ERRORS), again(thesis, **ERRORS)
-    ratios = [old.length_deviations[name] / std for name, std in built.length_deviations.items()]
-    result["least_ratio_with_own_errors"] = round(min(ratios), 2)
-    result |= {f"with_own_errors_mm_{name}": round(1e3 * std, 2) for name, std in built.length_deviations.items()}
+    (thesis, design), (built_thesis, built) = both(), both(**ERRORS)
+    for tail, asked, found in (("", thesis, design), ("_with_own_errors", built_thesis, built)):
+        for name, std in found.length_deviations.items():
+            result |= {f"thesis_mm_{name}{tail}": round(1e3 * asked[name], 2),
+                       f"designed_mm_{name}{tail}": round(1e3 * std, 2)}
+        result[f"least_ratio{tail}"] = round(min(asked[name] / std for name, std in found.length_deviations.items()), 2)
     result["dearest_own_error"] = f"{built.own_errors[0].name} {built.own_errors[0].factor:.2f}"
-    twice = again(design, **{name: 2 * each for name, each in ERRORS.items()}).machine
-    for case, one, machine, true in (("exact", design, design.machine, design.machine),
-                                     ("own_errors", built, built.machine, built.machine),
-                                     ("twice_as_inaccurate", built, built.machine, twice)):
-        over, coverage, missed = estimated(one, machine, true)
+    for case, one, true in (("exact", design, design.machine), ("own_errors", built, built.machine),
+                            ("twice_as_inaccurate", built, less_exact(built, 2.0))):
+        over, coverage, missed = estimated(one, one.machine, true)
         result |= {f"achieved_over_expected_{case}": round(max(over.values()), 3),
                    f"least_achieved_over_expected_{case}": round(min(over.values()), 3),
                    f"coverage_{case}": round(coverage, 3), f"not_reached_{case}": missed}
-    result["parts"] = {part["name"]: [round(float(np.degrees(part["theta"])), 1), part["d"], part["a"],
-                                      round(float(np.degrees(part["alpha"])))] for part in design.parts}
-    result["ball"] = list(design.ball)
+    for tail, found in (("", design), ("_with_own_errors", built)):
+        result[f"parts{tail}"] = {part["name"]: [round(float(np.degrees(part["theta"])), 1), part["d"], part["a"],
+                                                 round(float(np.degrees(part["alpha"])))] for part in found.parts}
+        result[f"ball{tail}"] = list(found.ball)
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,8 @@ TRIES = 8
 """Times that so many postures are drawn, where few of them close within the limits."""
 MORE = 3.0
 """Postures to choose from for each one to measure."""
+SWEEPS = 8
+"""Times that a stage whose locked joints drift is driven through its postures."""
 
 
 def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: float = 1.0, seed: int = 0,
@@ -112,9 +115,9 @@ def planned(problem: CalibratorProblem, construction: Construction, sized: Sized
     """The calibrator in round numbers with whole numbers of poses; None where too few postures close."""
     search = search_of(problem, construction)
     values = _rounded(sized.values, search)
-    found, wanted = search.closed(values, sized.q), int(MORE * problem.count)
+    found, wanted = search.about(replace(sized, values=values), problem.count, rng), int(MORE * problem.count)
     for _ in range(TRIES):
-        found = [np.concatenate(pair) for pair in zip(found, search.postures(values, wanted, rng), strict=True)]
+        found = [np.concatenate(pair) for pair in zip(found, search.postures(values, wanted, rng, 0.0), strict=True)]
         if (least := min(map(len, found))) >= wanted:
             break
     if least < problem.count:
@@ -144,8 +147,9 @@ def _rounded(values: Mapping[str, float], search: Search) -> dict[str, float]:
 
 
 def _in_order(problem: PoseProblem, group: int, q: Array) -> Array:
-    """Postures (C, n) in the order of measuring: there and, where locked joints drift, back."""
+    """Postures (C, n) in the order of measuring: there and, where locked joints drift, back, some times over, so that
+    each posture is measured early and late."""
     model, stage = problem.model, problem.groups[group]
     first = model.joints.index(stage.moves[0]) if stage.moves else 0
-    order = np.argsort(q[:, first], kind="stable")
-    return np.asarray(q[np.concatenate([order[::2], order[1::2][::-1]]) if stage.drift else order])
+    order, sweeps = np.argsort(q[:, first], kind="stable"), SWEEPS if stage.drift else 1
+    return np.asarray(q[np.concatenate([order[k::sweeps][:: -1 if k % 2 else 1] for k in range(sweeps)])])

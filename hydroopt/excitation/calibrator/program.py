@@ -26,10 +26,15 @@ from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
+CLOSE = 1e-4
+"""By how much limits may be missed."""
 STEPS = 120
 """Steps of the solver at most."""
 FAINT = 1e-6
 """Information of every parameter in units of its scale: keeps the covariance finite."""
+ASIDE, ROOM = float(np.radians(3.0)), 0.01
+"""How far poses keep away from limits of joints [rad, m], and from all others (parts of a stroke, heights [m], the
+dexterity), while sizes are found: the best poses lie at limits, and would be lost once sizes are rounded."""
 STROKE = 0.1
 """Part of each stroke by which poses stay away from its ends."""
 DEXTERITY = 0.1
@@ -159,10 +164,14 @@ class JointProgram:
             pick[self.free.index(k), column] = self.calibration.parameters.scale[k] / target
         return pick
 
-    def fits(self, values: Mapping[str, float], q: Array, allowed: float = 0.0) -> NDArray[np.bool_]:
-        """Which closed postures (N, n) keep strokes, heights and dexterity, but for what is allowed."""
+    def fits(self, values: Mapping[str, float], q: Array, free: Sequence[int], aside: float) -> NDArray[np.bool_]:
+        """Which closed postures (N, n) keep limits of the joints `free`, strokes, heights and dexterity, and stay away
+        from them by a part of what they do when sizes are found."""
         rest = self.bounded.map(len(q))(np.repeat(self.theta(values)[:, None], len(q), axis=1), q.T)[1]
-        return np.asarray(np.all(np.asarray(rest) >= -allowed, axis=0))
+        low, high = postures.limits(self.problem.model)
+        within = np.minimum(q - low, high - q)[:, list(free)]
+        return np.asarray(np.all(np.asarray(rest) >= aside * ROOM - CLOSE, axis=0)
+                          & np.all(within >= aside * ASIDE - CLOSE, axis=1))
 
     def solve(self, values: Mapping[str, float], q: Array, shares: Array,
               steps: int = STEPS) -> tuple[dict[str, float], Array]:
@@ -189,16 +198,18 @@ class JointProgram:
         lower = np.concatenate([[each[0] for each in bounds], low.ravel(), np.zeros(groups * count)])
         upper = np.concatenate([[each[1] for each in bounds], high.ravel(), np.ones(groups * count)])
         start = np.concatenate([[values[size.name] for size in self.sizes], q.ravel(), shares.ravel()])
+        least = np.concatenate([np.zeros(equal.numel()), np.full(rest.numel(), ROOM)])
         most = np.concatenate([np.zeros(equal.numel()), np.full(rest.numel(), np.inf)])
         found = improved({
             "x": ca.vertcat(x, *map(ca.vec, poses), *map(ca.vec, share)), "f": self.criterion(theta, poses, share),
-            "g": ca.vertcat(equal, rest)}, np.clip(start, lower, upper), lower, upper, np.zeros(len(most)), most, steps)
+            "g": ca.vertcat(equal, rest)}, np.clip(start, lower, upper), lower, upper, least, most, steps)
         sized = zip((size.name for size in self.sizes), found[: len(places)].tolist(), strict=True)
         return {**values, **dict(sized)}, found[len(places) : len(places) + q.size].reshape(q.shape)
 
     def _range(self, q: Array) -> tuple[Array, Array]:
         """Lower and upper limits (G, m, n) of the angles; those at rest stay."""
-        low, high = (np.broadcast_to(each, q.shape).copy() for each in postures.limits(self.problem.model))
+        low, high = (np.broadcast_to(each + sign * ASIDE, q.shape).copy() for each, sign in zip(
+            postures.limits(self.problem.model), (1, -1), strict=True))
         layout = self.calibration.layout
         still = ~(layout.sensed | layout.moving)[:: len(self.calibration.poses) // len(q)]
         still = np.broadcast_to(still[:, None], q.shape)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.excitation.calibrator.construction import BRACKET, Construction, Workshop, carrying, fixture_of, sizes
 from hydroopt.excitation.calibrator.program import STEPS, JointProgram, Sized
-from hydroopt.excitation.poses.problem import PoseProblem, pose_problem
+from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, pose_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.progress import Progress
 from hydroopt.simulation import postures
@@ -23,6 +23,12 @@ DRAWN = 40
 """Random calibrators for each start."""
 ROUNDS = 3
 """Rounds with fresh postures."""
+NEARLY = 0.95
+"""Part of the distance from limits that closed postures of the solver keep."""
+ABOUT = float(np.radians(1.0))
+"""Standard deviation [rad, m] of postures that are measured instead of one posture again and again."""
+DENSE = 4
+"""Postures about one that are tried for each that is wanted."""
 RIGHT_ANGLE = 0.5 * np.pi
 
 
@@ -96,19 +102,25 @@ class Search:
         q = np.array([each[:least] for each in found])
         return float(0.5 * np.log(np.max(self.program.shares(values, q, 30).variance)))
 
-    def postures(self, values: Mapping[str, float], count: int, rng: np.random.Generator) -> list[Array]:
+    def postures(self, values: Mapping[str, float], count: int, rng: np.random.Generator,
+                 aside: float = 1.0) -> list[Array]:
         """Up to so many closed postures (K, n) of each group within all limits; fewer where they are rare."""
         model, fixture = self.problem.model, fixture_of(self.machine)
         geometry = self.program.theta(values)[: len(model.parameters)]
         turning, found = postures.sensed_joints(model), []
         for group in self.problem.groups:
-            moving = [model.joints.index(joint) for joint in group.moves]
+            free = self._free(group)
             q, _ = postures.closed_postures(
-                model, 8 * count, rng, geometry=geometry, turning=turning, within_limits=turning + moving,
+                model, 8 * count, rng, geometry=geometry, turning=turning, within_limits=free,
                 locked=group.locked, fixture=np.array([values[f"{fixture}.{axis}"] for axis in "xyz"]),
                 batch=4 * count, give_up=lambda closed, tried: tried >= 8 * count)
-            found.append(q[self.program.fits(values, q)][:count] if len(q) else q)
+            found.append(q[self.program.fits(values, q, free, aside)][:count] if len(q) else q)
         return found
+
+    def _free(self, group: PoseGroup) -> list[int]:
+        """Places of the joints that are not locked."""
+        model = self.problem.model
+        return [*postures.sensed_joints(model), *map(model.joints.index, group.moves)]
 
     def refined(self, values: Mapping[str, float], rng: np.random.Generator, rounds: int,
                 steps: int = STEPS) -> Sized | None:
@@ -127,21 +139,29 @@ class Search:
                 best = support
             if k < rounds:
                 near, q = self.program.solve(support.values, support.q, support.share, steps)
-                moved = self.closed(near, q)
+                moved = [self.closed(near, *each, NEARLY) for each in zip(self.problem.groups, q, strict=True)]
         return best
 
-    def closed(self, values: Mapping[str, float], q: Array) -> list[Array]:
-        """Of postures (G, m, n) that nearly close, those (K, n) of each group that can be closed within all limits."""
+    def closed(self, values: Mapping[str, float], group: PoseGroup, q: Array, aside: float = 1.0) -> Array:
+        """Of postures (N, n) of a group that nearly close, those (K, n) that can be closed within all limits."""
         model, fixture = self.problem.model, fixture_of(self.machine)
         geometry = self.program.theta(values)[: len(model.parameters)]
         place = np.array([values[f"{fixture}.{axis}"] for axis in "xyz"])
-        low, high = postures.limits(model)
+        closed, good = postures.close(model, geometry, q, postures.sensed_joints(model), place)
+        closed = closed[good]
+        return closed[self.program.fits(values, closed, self._free(group), aside)] if len(closed) else closed
+
+    def about(self, sized: Sized, count: int, rng: np.random.Generator) -> list[Array]:
+        """Closed postures (K, n) of each group about those of a design, of each so many of `count` as its share says:
+        a posture that counts much is measured often, each time a little elsewhere."""
         found = []
-        for each in q:
-            closed, good = postures.close(model, geometry, each, postures.sensed_joints(model), place)
-            good &= np.all((closed >= low - 1e-6) & (closed <= high + 1e-6), axis=1)
-            closed = np.clip(closed, low, high)[good]
-            found.append(closed[self.program.fits(values, closed, 1e-4)] if len(closed) else closed)
+        for group, q, share in zip(self.problem.groups, sized.q, sized.share, strict=True):
+            free, parts = self._free(group), []
+            for middle, wanted in zip(q, np.ceil(count * share).astype(int).tolist(), strict=True):
+                some = np.repeat(middle[None], 1 + DENSE * wanted, axis=0)
+                some[1:, free] += rng.normal(0.0, ABOUT, (DENSE * wanted, len(free)))
+                parts.append(self.closed(sized.values, group, some, 0.0)[: 1 + wanted])
+            found.append(np.concatenate(parts))
         return found
 
     def support(self, values: Mapping[str, float], q: Array) -> Sized:
