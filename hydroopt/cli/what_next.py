@@ -33,6 +33,8 @@ def what_next(
         "What a reading takes, such as tape=3; 0 for one that needs no hand; repeatable."))] = None,
     without: Annotated[list[str] | None, typer.Option(metavar="NAME", help=(
         "Measurement that cannot be taken; repeatable."))] = None,
+    base_tilt: Annotated[str, typer.Option(help=(
+        "Standard deviation by which the base may be off the roll and pitch of the machine file."))] = "0 deg",
     budget: Annotated[float | None, typer.Option(help="Minutes that may be spent.", min=0.0)] = None,
     least: Annotated[str, typer.Option(help="Gain per minute below which to stop.")] = "0.1 %",
     seed: Seed = 0,
@@ -71,10 +73,10 @@ def what_next(
                                remedy="write, for instance, --minutes tape=3") from None
     with progress(f"choosing measurements of {described.name}", quiet) as say:
         problem = what_next_problem(
-            described, answers or (), targets=targets,
+            machine, answers or (), targets=targets,
             task=None if motion is None else reference_motion(described, read_log(motion)),
             motions=[reference_motion(described, read_log(each)) for each in trajectory or ()], minutes=spent,
-            without=without or (), seed=seed)
+            without=without or (), base_tilt=to_si(base_tilt, "rad", where="--base-tilt"), seed=seed)
         plan = plan_next(problem, minutes=float("inf") if budget is None else budget,
                          least=to_si(least, "1", where="--least"), progress=say)
     plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)

@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +15,7 @@ from hydroopt.errors import HydrooptError
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.estimation.kinematic.calibrate import optimum
 from hydroopt.estimation.kinematic.workspace import machine_end
+from hydroopt.excitation.next.additions import Addition, equipped
 from hydroopt.excitation.next.goals import LoadGoal
 from hydroopt.excitation.next.measurements import Measurement
 from hydroopt.excitation.next.plan import plan_next
@@ -22,12 +25,17 @@ from hydroopt.excitation.poses.posture_readings import PostureReadings
 from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 HERE = Path(__file__).parent
-BUDGET, DRAWS, POINTS = 60.0, 50, 300
-"""Minutes; drawn machines; postures at which the tip is judged."""
+BUDGET, POINTS = 60.0, 300
+"""Minutes; postures at which the tip is judged."""
+DRAWS = {"cat215b_tip": 50, "cat215b_force": 20, "cat215b_load": 10, "bucket_tip": 25}
+"""Drawn machines: how many is a matter of time."""
+MANY = 1000
+"""Candidates from which nothing could be better than stated."""
 MOTIONS = 2
 """Motions in the fixed plan; before them 12 postures of the CAT 215B, four to each joint."""
 
@@ -106,6 +114,27 @@ def chosen(problem: WhatNextProblem, true: WhatNextProblem | None = None) -> lis
     return work
 
 
+def least(problem: WhatNextProblem, minutes: float = BUDGET - 15.0, steps: int = 300) -> float:
+    """A standard deviation of the tip that no choice among the candidates reaches in these minutes, which follow the
+    first set-up: the optimal shares of minutes, other set-ups for nothing, and the tangent of the variance there, which
+    is convex in them, as a bound."""
+    goal, known = problem.goals[0], problem.knowledge
+    own, posed = known.own, [each for each in problem.measurements if each.labels is not None]
+    scale = np.sqrt(np.diag(known.first)[own])
+    rows = [row * scale / np.sqrt(each.minutes) for each in posed for row in each.rows]
+    rows = np.array([np.pad(row, ((0, max(map(len, rows)) - len(row)), (0, 0))) for row in rows])
+    before = np.linalg.inv(known.first[own, own] / np.outer(scale, scale))
+    task = goal.rows(known.covariance)[:, own] * scale
+    share, best = np.full(len(rows), 1 / len(rows)), 0.0
+    for _ in range(steps):
+        towards = np.linalg.solve(before + minutes * np.einsum("k,kuf,kug->fg", share, rows, rows), task.T)
+        gain = minutes * np.sum((rows @ towards) ** 2, axis=(1, 2))
+        best = max(best, np.sum(task.T * towards) - np.max(gain) + np.sum(share * gain))
+        share = share * np.sqrt(gain)
+        share /= share.sum()
+    return float(np.sqrt(best))
+
+
 def expected(problem: WhatNextProblem, work: Sequence[Work]) -> dict[str, float]:
     """Standard deviations of the goals after some work, by the covariance that what-next computes."""
     state = State(problem.knowledge, {})
@@ -136,14 +165,15 @@ def rows_at(problem: WhatNextProblem, work: Work) -> np.ndarray:
 def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, draw: int) -> dict[str, float]:
     """Errors of the goals [root mean square] on a machine drawn from the confidences of a file, after some work has
     been measured, calibrated and identified by the file of `problem`."""
-    chain = problem.chain
+    chain, owners = problem.chain, {each.owner for each in work}
+    added = [each for each in problem.additions if each.name in owners]
     k = len(chain.parameters)
-    read = [each for each in work if not each.motions and each.owner != "weigh.stick"]
+    read = [each for each in work if not each.motions and each.owner not in ("weigh.stick", "known_load")]
     q = np.concatenate([each.q for each in read]) if read else (np.mean(postures.limits(chain), axis=0)[None])
     table = Poses("planned", np.full(len(q), ""), np.full(len(q), ""), channels={
         f"{joint}.q": q[:, i] for i, joint in enumerate(chain.joints)},
         units={f"{joint}.q": "rad" for joint in chain.joints})
-    made = simulate_poses(KinematicModel(drawn_by), table, random=True, seed=draw)
+    made = simulate_poses(with_added(drawn_by, added), table, random=True, seed=draw)
     true = np.array([made.truth[name] for name in chain.parameters.names])
     found = chain.parameters.nominal
     if read:
@@ -154,7 +184,7 @@ def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, 
         channels = {name: values for name, values in channels.items() if np.isfinite(values).any()}
         poses = Poses("measured", made.poses.stage, made.poses.fixture, setup=made.poses.setup, channels=channels,
                       units={name: made.poses.units[name] for name in channels})
-        calibration = calibration_problem(problem.machine, poses)
+        calibration = calibration_problem(with_added(problem.machine, added).machine, poses)
         found = optimum(calibration, "joint", calibration.start).theta[:k]
     error = {}
     if "tip" in problem.targets:
@@ -164,6 +194,16 @@ def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, 
     if problem.targets.keys() - {"tip"}:
         error |= forces_error(problem, work, drawn_by, found, true, draw)
     return error
+
+
+@cache
+def _with_added(machine: str, added: tuple[Addition, ...]) -> KinematicModel:
+    return KinematicModel(equipped(hydroopt.read_machine(machine), added))
+
+
+def with_added(machine: Machine, added: Sequence[Addition]) -> KinematicModel:
+    """The geometry of a machine with what is measured with."""
+    return _with_added(dump_machine(machine), tuple(added))
 
 
 def forces_error(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, found: np.ndarray,
@@ -204,11 +244,12 @@ def forces_error(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machi
     return error
 
 
-def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, draws: int = DRAWS,
+def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, draws: int | None = None,
              without: Sequence[str] = ()) -> dict:
     """All figures of a machine."""
     result, machine, far = {}, make(), make(2.0)
     for name in goals:
+        count = draws or DRAWS[f"{label}_{name}"]
         targets = {name: {"tip": 1e-6, "force": 1e-6}.get(name, 1e-3)}
         problem = what_next_problem(machine, targets=targets, without=without)
         costs = {f"{each.name}{tail}": 2.0**sign * value for sign, each in zip(
@@ -217,9 +258,9 @@ def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, dra
         wrong = what_next_problem(machine, targets=targets, minutes=costs, without=without)
         fixed, plan, misled = fixed_plan(problem), chosen(problem), chosen(wrong, problem)
         before, after = expected(problem, [])[name], expected(problem, plan)[name]
-        by_fixed, by_plan, by_misled, by_none = (drawn(problem, each, machine, draws)[name] for each in (
+        by_fixed, by_plan, by_misled, by_none = (drawn(problem, each, machine, count)[name] for each in (
             fixed, plan, misled, []))
-        far_fixed, far_plan = (drawn(problem, each, far, draws)[name] for each in (fixed, plan))
+        far_fixed, far_plan = (drawn(problem, each, far, count)[name] for each in (fixed, plan))
         rms, first = (np.sqrt(np.mean(np.square(each))) for each in (by_plan, by_none))
         found = {"std_first": before, "std_fixed": expected(problem, fixed)[name], "std": after,
                  "minutes_fixed": minutes_of(problem, fixed), "minutes": minutes_of(problem, plan),
@@ -228,6 +269,8 @@ def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, dra
                  "times_smaller_twice_as_far_off": np.median(far_fixed) / np.median(far_plan),
                  "achieved_over_expected": rms / after,
                  "gain_achieved_over_expected": np.log(first / rms) / np.log(before / after), "draws": len(by_plan)}
+        if name == "tip":
+            found["least_std"] = least(replace(problem, candidates=MANY))
         result |= {f"{label}_{name}_{key}": round(float(value), 4) for key, value in found.items()}
         print(label, name, [(each.owner, len(each.motions) or len(each.q)) for each in plan], found, flush=True)
     return result
@@ -244,7 +287,7 @@ def drawn(problem: WhatNextProblem, work: Sequence[Work], machine: Machine, draw
     return {name: np.array([each[name] for each in found]) for name in problem.targets}
 
 
-def run(draws: int = DRAWS) -> dict:
+def run(draws: int | None = None) -> dict:
     """Both machines."""
     return compared(on_site, ("tip", "force", "load"), "cat215b", draws) | compared(
         bucket, ("tip",), "bucket", draws, without=("plate",))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
 from hydroopt.estimation.dynamic.usability import POSTURES, RANGE, WEIGHED, load_effect
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.excitation.criteria import presumed_noise
@@ -17,6 +16,9 @@ from hydroopt.results.readable import percentage, readable
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
+
+ByGeometry = Callable[[Array, Array, Array], Array]
+"""Derivatives (N, r, f) of the forces in states q, qd, qdd (N, n) by the f numbers of the geometry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,40 +101,36 @@ class LoadGoal(Goal):
         return float(np.mean(np.sum(self.weights(covariance) ** 2 * self.noise, axis=1)))
 
 
-def force_goal(model: Model, by_geometry: Array, states: Sequence[Array], target: float) -> LinearGoal:
+def force_goal(model: Model, by_geometry: ByGeometry, states: Sequence[Array], target: float) -> LinearGoal:
     """The forces in a motion, each as a part of its range, root mean square over actuators and time.
 
     Args:
         model: the machine.
-        by_geometry: (N, r, f) derivatives of the forces by the numbers of the geometry.
+        by_geometry: derivatives of its forces.
         states: q, qd, qdd of the motion (N, n) each.
         target: part of the range, which is four standard deviations of the force.
     """
     K = model.over(model.regressor, *states)[0]
     size = RANGE * np.std(K @ model.parameters.nominal, axis=0)
     driven = size > 1e-6 * np.max(size)
-    rows = np.concatenate([by_geometry, K], axis=2)[:, driven] / size[driven, None]
+    rows = np.concatenate([by_geometry(*states), K], axis=2)[:, driven] / size[driven, None]
     rows = rows.reshape(-1, rows.shape[2]) / np.sqrt(rows.shape[0] * rows.shape[1])
     return LinearGoal(Purpose.FORCES, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
 
 
-def load_goal(model: Model, forces: ForcesByGeometry, geometry: Array, motion: Trajectory, f: int,
-              target: float) -> LoadGoal:
+def load_goal(model: Model, by_geometry: ByGeometry, motion: Trajectory, target: float) -> LoadGoal:
     """A load at the tip, weighed in random postures at a tenth of a motion's speed.
 
     Args:
         model: the machine.
-        forces: by the numbers of its geometry.
-        geometry: (k,) these numbers, the last of the f numbers of the geometry being others.
+        by_geometry: derivatives of its forces.
         motion: whose speeds count.
-        f: numbers of the geometry.
         target: standard deviation of the load [kg].
     """
     rng = np.random.default_rng(1)
     q = random_states(model, POSTURES, rng)[0]
     qd = 0.1 * np.sqrt(np.mean(motion.qd**2, axis=0)) * rng.choice([-1.0, 1.0], q.shape)
-    by_psi, by_g = forces.over(q, qd, 0 * q, model.parameters.nominal, geometry)[4:6]
-    by_g = np.pad(by_g, ((0, 0), (0, 0), (0, f - by_g.shape[2])))
+    by_psi, by_g = model.over(model.regressor, q, qd, 0 * q)[0], by_geometry(q, qd, 0 * q)
     effect = load_effect(model, q)
     noise = presumed_noise(model) ** 2 / (sampling_rate(model.machine) * WEIGHED)
     return LoadGoal(Purpose.WEIGHING, "", "kg", target, np.concatenate([by_g, by_psi], axis=2), effect, noise)

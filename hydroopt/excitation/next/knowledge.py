@@ -20,6 +20,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.stored_information import stored_information
+from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.answer import SavedAnswer, load
 from hydroopt.results.covariance_file import COVARIANCE, read_covariance
@@ -112,16 +113,40 @@ class Knowledge:
 
         Args:
             model: of the machine that the answers are of.
-            folders: that `identify` or `calibrate` wrote.
+            folders: that `identify` or `calibrate` wrote; of a calibration also the one that wrote this machine, whose
+                file states confidences without their correlations.
 
         Raises:
             ProblemError: a folder holds none of these answers, or it is of another machine.
         """
-        information = inverse(self.first)
-        for folder in folders:
-            places, added = self._added(model, Path(folder))
+        information, others = inverse(self.first), list[Path]()
+        for folder in map(Path, folders):
+            if (known := self._of_the_file(model, folder)) is None:
+                others.append(folder)
+            else:
+                places, whole = known
+                information[np.ix_(places, places)] = whole
+        for folder in others:
+            places, added = self._added(model, folder)
             information[np.ix_(places, places)] += added
         return replace(self, first=inverse(information), _before=None)
+
+    def _of_the_file(self, model: Model, folder: Path) -> tuple[list[int], Array] | None:
+        """Places (k,) of the numbers of a calibration that wrote the machine's own file, and the information (k, k)
+        that their confidences in it stand for; None of any other answer."""
+        answer = load(folder)
+        text = answer.files().get(f"{answer.machine_id.name}.toml")
+        if (answer.job is not Job.CALIBRATION or answer.machine_id.sha256 == model.machine.sha256 or text is None
+                or COVARIANCE not in answer.files() or read_machine(text).sha256 != model.machine.sha256):
+            return None
+        return self._shared(answer, folder)
+
+    def _shared(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
+        """Places (k,) of the numbers that an answer and this share, and the information (k, k) on them by its file."""
+        found, covariance = read_covariance(answer.files()[COVARIANCE], str(folder / COVARIANCE))
+        shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
+        taken, places = [k for k, _ in shared], [place for _, place in shared]
+        return places, inverse(covariance[np.ix_(taken, taken)])
 
     def _added(self, model: Model, folder: Path) -> tuple[list[int], Array]:
         """Places (k,) of numbers, and the information (k, k) that an answer adds on them."""
@@ -147,15 +172,11 @@ class Knowledge:
         if text is None:
             raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
                                remedy="calibrate again with this version, by method joint")
-        found, covariance = read_covariance(text, str(folder / COVARIANCE))
-        shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
-        taken, places = [k for k, _ in shared], [place for _, place in shared]
+        places, within = self._shared(answer, folder)
         root = np.sqrt(np.diag(self.stated)[places])
         root = np.where(root > 0, root, 1.0)
-        within = covariance[np.ix_(taken, taken)] * np.outer(root, root)
-        before = 0.0 if answer.details().get("priors") is False else (
-            self.stated[np.ix_(places, places)] / np.outer(root, root))
-        values, axes = np.linalg.eigh(np.linalg.inv(within) - before)
+        before = 0.0 if answer.details().get("priors") is False else self.stated[np.ix_(places, places)]
+        values, axes = np.linalg.eigh((within - before) / np.outer(root, root))
         return places, axes * np.maximum(values, 0.0) @ axes.T * np.outer(root, root)
 
 

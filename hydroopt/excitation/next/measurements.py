@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
+from hydroopt.excitation.next.additions import Addition
+from hydroopt.excitation.next.goals import ByGeometry, LoadGoal
 from hydroopt.excitation.poses.posture_readings import PostureReadings
 from hydroopt.excitation.poses.problem import PoseLabels
 from hydroopt.excitation.poses.readings import DRIVE, SET_UP, Reading
@@ -22,6 +23,12 @@ MOTION, DRIVEN = 10.0, 2.0
 """Minutes to warm up and to clear the site, and for each motion of half a minute with its approach."""
 REPEATS = 4
 """How often each motion may be driven."""
+LEVEL, LEVELLED = 10.0, float(np.radians(0.05))
+"""Minutes to lay a spirit level on the base and to level it or read its tilt; standard deviation [rad]."""
+FETCH, HOLD = 20.0, 2.0
+"""Minutes to fetch and sling a known load, and to lift it slowly in one posture."""
+LOAD, LOADED = 1000.0, 5e-4
+"""A known load [kg], and the standard deviation to which a test weight is known, as a part."""
 WEIGH, SCALE = 90.0, 0.005
 """Minutes to take a link off, to weigh it and to put it back; standard deviation of a crane scale, as a part."""
 
@@ -41,6 +48,8 @@ class Measurement:
         labels: what these postures belong to.
         motions: of the parts, where these are motions.
         geometry_exact: whether they are identified with the geometry known so far.
+        use: what to do with what was measured.
+        file: what to add to the machine file before.
     """
 
     name: str
@@ -53,6 +62,8 @@ class Measurement:
     labels: PoseLabels | None = None
     motions: tuple[Trajectory, ...] = ()
     geometry_exact: bool = False
+    use: str = ""
+    file: str = ""
 
     def priced(self, minutes: Mapping[str, float]) -> Measurement:
         """With stated minutes, by its name and its name with ``.set_up``."""
@@ -65,18 +76,20 @@ DOING = {"instrument": "Set up {}, and sight its targets", "datum": "Lay out {},
 """What to do, by the kind of reading."""
 
 
-def pose_measurements(postures: PostureReadings, readings: Sequence[Reading],
-                      labels: PoseLabels) -> Iterator[Measurement]:
+def pose_measurements(postures: PostureReadings, readings: Sequence[Reading], labels: PoseLabels,
+                      added: Mapping[str, Addition]) -> Iterator[Measurement]:
     """Readings in postures: those of one instrument, tape, datum or IMU, or of the calibrator in one fixture; joints
-    and transducers read along."""
+    and transducers read along. Some are `added` by name to what the machine file states."""
     along = np.array([each.kind == "transducer" for each in readings], dtype=bool)
     fixed, touching = labels.fixture != "", labels.touch != ""
 
-    def taken(name: str, text: str, kind: str, places: NDArray[np.intp], own: NDArray[np.bool_]) -> Measurement:
+    def taken(name: str, text: str, kind: str, places: NDArray[np.intp], own: NDArray[np.bool_],
+              file: str = "") -> Measurement:
         spent = DRIVE + float(sum(each.minutes for each, mine in zip(readings, own, strict=True) if mine))
         rows = postures.rows_of(places, postures.there[places] & (along | own))
         return Measurement(name, text, SET_UP[kind], spent, rows, slice(0, rows.shape[2]), postures.q[places],
-                           PoseLabels(*(np.asarray(each)[places] for each in labels)))
+                           PoseLabels(*(np.asarray(each)[places] for each in labels)), file=file,
+                           use="'hydroopt calibrate' with all poses")
 
     none = np.zeros(len(readings), dtype=bool)
     for fixture in dict.fromkeys(labels.fixture[fixed].tolist()):
@@ -86,20 +99,20 @@ def pose_measurements(postures: PostureReadings, readings: Sequence[Reading],
         own = np.array([each.owner == owner and each.kind == kind for each in readings])
         alone = touching if kind == "datum" else ~touching
         if len(places := np.flatnonzero(postures.there[:, own].any(axis=1) & ~fixed & alone)):
-            yield taken(owner, DOING[kind].format(owner), kind, places, own)
+            addition = added.get(owner)
+            yield taken(owner, DOING[kind].format(owner) if addition is None else addition.text, kind,
+                        places[:1] if addition is not None and addition.once else places, own,
+                        "" if addition is None else addition.file)
     if len(places := np.flatnonzero(postures.there[:, along].any(axis=1) & ~fixed & ~touching)):
         yield taken("transducers", "Drive to postures, and read joints and transducers", "transducer", places, none)
 
 
-def motion_measurement(model: Model, forces: ForcesByGeometry, geometry: Array, f: int,
-                       motions: Sequence[Trajectory]) -> Measurement:
+def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[Trajectory]) -> Measurement:
     """Motions to drive while forces are logged, each of which tells of ψ and, where the geometry is off, of both.
 
     Args:
         model: the machine.
-        forces: by the numbers of its geometry.
-        geometry: (k,) these numbers, which are the first of the f numbers of the geometry.
-        f: numbers of the geometry.
+        by_geometry: derivatives of its forces.
         motions: to choose from.
     """
     structure, made = structural(model), []
@@ -107,14 +120,33 @@ def motion_measurement(model: Model, forces: ForcesByGeometry, geometry: Array, 
         model = Model(model.machine.model_copy(update={"imus": ()}))
     for motion in motions:
         told = expected_accuracy(model, motion, structure)
-        by_g = forces.over(motion.q, motion.qd, motion.qdd, model.parameters.nominal, geometry)[5]
-        off = np.einsum("ktn,tng->kg", told.by_force, by_g)
-        made.append(np.hstack([off, np.zeros((len(off), f - off.shape[1])), told.rows]))
+        by_g = by_geometry(motion.q, motion.qd, motion.qdd)
+        made.append(np.hstack([np.einsum("ktn,tng->kg", told.by_force, by_g), told.rows]))
     most = max(map(len, made))
     rows = np.tile(np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made]), (REPEATS, 1, 1))
     return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,
                        slice(0, rows.shape[2]), np.zeros((len(rows), 0)), motions=tuple(motions) * REPEATS,
-                       geometry_exact=True)
+                       geometry_exact=True, use="'hydroopt identify' with the calibrated machine and all logs")
+
+
+def levelled_base(f: int) -> Measurement:
+    """The base's roll and pitch, the last two of the f numbers of the geometry."""
+    rows = np.eye(2)[None] / LEVELLED
+    return Measurement("level", "Level the base by a spirit level on it", 0.0, LEVEL, rows, slice(f - 2, f),
+                       np.zeros((1, 0)), use="the orientation of the machine file as it then is")
+
+
+def known_load(goal: LoadGoal) -> Measurement:
+    """A known load weighed in each posture in which loads will be weighed, as `hydroopt weigh --known` uses it: forces
+    tell of ψ, and what is off in the geometry falsifies that."""
+    rows = []
+    for by_numbers, effect in zip(goal.by_numbers, goal.effect, strict=True):
+        noise = np.diag(goal.noise) + np.outer(effect, effect) * (LOADED * LOAD) ** 2
+        rows.append(np.linalg.solve(np.linalg.cholesky(noise), by_numbers))
+    made = np.array(rows)
+    return Measurement("known_load", f"Lift a known load of about {LOAD:.0f} kg slowly", FETCH, HOLD, made,
+                       slice(0, made.shape[2]), np.zeros((len(made), 0)), geometry_exact=True,
+                       use="'hydroopt weigh --known' with its log")
 
 
 def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
@@ -126,4 +158,5 @@ def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
             continue
         row = np.zeros((1, 1, 1)) + 1 / (SCALE * model.parameters.nominal[place])
         yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row,
-                          slice(f + place, f + place + 1), np.zeros((1, 0)))
+                          slice(f + place, f + place + 1), np.zeros((1, 0)),
+                          use=f"'hydroopt identify --prior' with '{name}.m = … +- …'")

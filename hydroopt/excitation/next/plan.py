@@ -28,6 +28,8 @@ from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Usable, Use
 from hydroopt.spatial.inertia import Array
 
+ADDITION = "addition.toml"
+"""File with what the next measurement needs beside the machine file."""
 LEAST = 0.001
 """Gain per minute below which it is no longer worth while, if nothing else is stated."""
 
@@ -141,14 +143,10 @@ class WhatNext(Answer):
         if not self.steps:
             return (NextStep(Action.USE, f"Use what is known: {self.stopped}."),)
         step = self.steps[0]
-        if step.measurement.motions:
-            use = "'hydroopt identify' with the calibrated machine and all logs"
-        elif step.measurement.labels is None:
-            use = f"'hydroopt identify --prior' with '{step.measurement.name.removeprefix('weigh.')}.m = … +- …'"
-        else:
-            use = "'hydroopt calibrate' with all poses"
-        return (NextStep(Action.DRIVE if step.measurement.motions else Action.MEASURE, f"{self.described(step)}."),
-                NextStep(Action.USE, f"Then {use}, and ask what-next again with its folder."))
+        first = (NextStep(Action.USE, f"Add {ADDITION} to the machine file."),) if step.measurement.file else ()
+        return (*first, NextStep(Action.DRIVE if step.measurement.motions else Action.MEASURE,
+                                 f"{self.described(step)}."),
+                NextStep(Action.USE, f"Then {step.measurement.use}, and ask what-next again with its folder."))
 
     def described(self, step: Step) -> str:
         """What to do in a step, and how long it takes."""
@@ -181,6 +179,8 @@ class WhatNext(Answer):
         files = {"sheet.txt": self.sheet(), "parameters.csv": self.parameters.to_csv()}
         if self.steps and self.steps[0].measurement.labels is not None:
             files["postures.csv"] = csv_text(self._posture_rows(self.steps[0]))
+        if self.steps and self.steps[0].measurement.file:
+            files[ADDITION] = self.steps[0].measurement.file + "\n"
         return files
 
     def _posture_rows(self, step: Step) -> list[dict[str, Any]]:

@@ -9,13 +9,17 @@ from pathlib import Path
 from typing import Never
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.excitation.next.goals import Goal, LinearGoal, force_goal, load_goal
+from hydroopt.excitation.next.additions import Addition, additions, equipped
+from hydroopt.excitation.next.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
 from hydroopt.excitation.next.knowledge import Knowledge
 from hydroopt.excitation.next.measurements import (
     Measurement,
+    known_load,
+    levelled_base,
     motion_measurement,
     pose_measurements,
     weighed_links,
@@ -30,10 +34,15 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
 
+TILT = ("base.roll", "base.pitch")
+"""Names of the base's tilt."""
+STEP = 1e-4
+"""Step [rad] of differences by the base's tilt."""
 DURATION, MOTIONS = 30.0, 3
 """Seconds of a motion, and how many random ones stand for designed ones."""
 TASK, TASK_RATE = 1000, 10.0
@@ -53,6 +62,7 @@ class WhatNextProblem(Shown):
         motions: that could be driven.
         minutes: of measurements by name, and of setting up by name with ``.set_up``.
         without: measurements that cannot be taken.
+        base_tilt: standard deviation [rad] of the base's roll and pitch; 0 where it stands as the file says.
         candidates: random postures of each group to choose from, drawn with `seed`.
 
     See `what_next_problem`.
@@ -65,7 +75,8 @@ class WhatNextProblem(Shown):
     motions: tuple[Trajectory, ...]
     minutes: Mapping[str, float] = field(default_factory=dict)
     without: tuple[str, ...] = ()
-    candidates: int = 60
+    base_tilt: float = 0.0
+    candidates: int = 600
     seed: int = 0
 
     @cached_property
@@ -96,11 +107,13 @@ class WhatNextProblem(Shown):
         """What could be measured."""
         found = list[Measurement]()
         if self.postures is not None:
-            found += pose_measurements(*self.postures)
+            found += pose_measurements(*self.postures, {each.name: each for each in self.additions})
         if len(self.model.parameters) and any(name != "tip" for name in self.targets):
-            f = self.knowledge.geometry
-            found.append(motion_measurement(self.model, self._forces, self._geometry, f, self.motions))
-            found += weighed_links(self.model, f)
+            found.append(motion_measurement(self.model, self._by_geometry, self.motions))
+            found += weighed_links(self.model, self.knowledge.geometry)
+            found += [known_load(goal) for goal in self.goals if isinstance(goal, LoadGoal)]
+            if self.base_tilt:
+                found.append(levelled_base(self.knowledge.geometry))
         known = [each.name for each in found]
         for where, names in (("without", self.without), ("minutes", [name.removesuffix(".set_up")
                                                                      for name in self.minutes])):
@@ -127,15 +140,13 @@ class WhatNextProblem(Shown):
                 postures = self.postures[0]
                 rows = tip_rows(postures.calibration)[:, postures.free]
                 task = np.zeros((len(rows), p))
-                task[:, knowledge.own] = rows
+                task[:, : rows.shape[1]] = rows
                 found.append(LinearGoal(Purpose.POSITION, "tip", "m", target, task))
             elif name == "force":
-                by_g = self._forces.over(self.task.q, self.task.qd, self.task.qdd, self.model.parameters.nominal,
-                                         self._geometry)[5]
-                by_g = np.pad(by_g, ((0, 0), (0, 0), (0, knowledge.geometry - by_g.shape[2])))
-                found.append(force_goal(self.model, by_g, (self.task.q, self.task.qd, self.task.qdd), target))
+                states = (self.task.q, self.task.qd, self.task.qdd)
+                found.append(force_goal(self.model, self._by_geometry, states, target))
             elif name == "load":
-                found.append(load_goal(self.model, self._forces, self._geometry, self.task, knowledge.geometry, target))
+                found.append(load_goal(self.model, self._by_geometry, self.task, target))
             else:
                 k = self.model.parameters.index(name)
                 if self.model.parameters.kinds[k] is not ParameterKind.MASS:
@@ -170,7 +181,7 @@ class WhatNextProblem(Shown):
         if not len(self.chain.parameters):
             return None
         try:
-            poses = pose_problem(self.machine, 1, priors=True)
+            poses = pose_problem(self.equipped, 1, priors=True)
             channels = poses.channels
         except ProblemError:
             if "tip" in self.targets:
@@ -178,41 +189,71 @@ class WhatNextProblem(Shown):
             return None
         rng = np.random.default_rng(self.seed)
         q = np.concatenate([candidate_postures(poses, group, self.candidates, rng) for group in poses.groups])
-        labels, read = poses.labels(self.candidates), readings(self.chain, channels)
+        labels, read = poses.labels(self.candidates), readings(poses.model, channels)
         return PostureReadings(poses, read, q, labels), read, labels
 
     @cached_property
+    def additions(self) -> tuple[Addition, ...]:
+        """What could be measured with beyond the machine file; no inclinometers where the base's tilt is uncertain,
+        since poses count it as exact."""
+        return tuple(each for each in additions(self.machine) if not (self.base_tilt and "[[imus]]" in each.file))
+
+    @cached_property
+    def equipped(self) -> Machine:
+        """The machine with these."""
+        return equipped(self.machine, self.additions)
+
+    @cached_property
     def _geometry_names(self) -> tuple[str, ...]:
-        return self.postures[0].names if self.postures else self.chain.parameters.names
+        names = self.postures[0].names if self.postures else self.chain.parameters.names
+        return (*names, *TILT) if self.base_tilt else names
 
     @cached_property
     def _geometry_prior(self) -> Array:
-        if self.postures:
-            return self.postures[0].prior
         parameters = self.chain.parameters
-        return parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
+        prior = self.postures[0].prior if self.postures else (
+            parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0))
+        return block_diag(prior, np.eye(2) / self.base_tilt**2) if self.base_tilt else prior
 
     @cached_property
     def _numbers(self) -> tuple[str, ...]:
         return tuple(name for name in self._geometry_names if name in self.chain.parameters.positions)
 
     @cached_property
-    def _geometry(self) -> Array:
-        return self.chain.parameters.nominal[self.chain.parameters.select(self._numbers)]
-
-    @cached_property
     def _forces(self) -> ForcesByGeometry:
         return ForcesByGeometry(self.model, self._numbers)
+
+    def _by_geometry(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """See `ByGeometry`; the base's roll and pitch turn gravity by as much."""
+        psi, chain = self.model.parameters.nominal, self.chain.parameters
+        by_numbers = self._forces.over(q, qd, qdd, psi, chain.nominal[chain.select(self._numbers)])[5]
+        found = np.zeros((*by_numbers.shape[:2], self.knowledge.geometry))
+        found[:, :, : by_numbers.shape[2]] = by_numbers
+        for k in range(2) if self.base_tilt else ():
+            more, less = (tilted.over(tilted.regressor, q, qd, qdd)[0] @ psi for tilted in self._tilted[k])
+            found[:, :, found.shape[2] - 2 + k] = (more - less) / (2 * STEP)
+        return found
+
+    @cached_property
+    def _tilted(self) -> tuple[tuple[Model, Model], ...]:
+        """Models whose base is rolled, then pitched, a little more and less."""
+        steps = STEP * np.eye(2)
+        return tuple((self._turned(step), self._turned(-step)) for step in steps)
+
+    def _turned(self, by: Array) -> Model:
+        roll, pitch, yaw = self.machine.orientation
+        return Model(self.machine.model_copy(update={"orientation": (roll + float(by[0]), pitch + float(by[1]), yaw)}))
 
 
 def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (), *,
                       targets: Mapping[str, float] | None = None, task: Trajectory | None = None,
                       motions: Sequence[Trajectory] = (), minutes: Mapping[str, float] | None = None,
-                      without: Sequence[str] = (), seed: int = 0) -> WhatNextProblem:
+                      without: Sequence[str] = (), base_tilt: float = 0.0, seed: int = 0) -> WhatNextProblem:
     """What to measure next of a machine, by what is known of it so far.
 
     Args:
-        machine: nominal description; states how far its numbers may be off, and what they may be measured with.
+        machine: nominal description; states how far its numbers may be off, and what they may be measured with. Of the
+            folder of a calibration the covariance of its numbers counts.
         answers: folders that `identify` or `calibrate` wrote for this machine, of other measurements each.
         targets: standard deviations to reach [SI]: ``tip`` [m], root mean square over the workspace; ``force``, as a
             part of the force's range, root mean square over the task; ``load`` [kg], weighed at the tip; masses by
@@ -222,6 +263,7 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
         minutes: of each part of a measurement by its name, such as ``{"station": 3.0, "motion": 5.0}``, and of setting
             up, ``{"station.set_up": 0.0}``.
         without: measurements that cannot be taken, by name.
+        base_tilt: standard deviation [rad] by which the base may be off the roll and pitch that the file states.
         seed: of the postures to choose from.
 
     Raises:
@@ -235,7 +277,13 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
     >>> plan.steps[0].measurement.name, plan.stopped
     ('motion', 'all targets are met')
     """
+    folders = list(map(Path, answers))
+    if isinstance(machine, str | Path) and (Path(machine) / FILES[Job.CALIBRATION]).is_file():
+        folders = [Path(machine), *(folder for folder in folders if folder != Path(machine))]
     machine = machine_of(machine, "what_next_problem")
+    if not (np.isfinite(base_tilt) and base_tilt >= 0):
+        raise ProblemError(f"{base_tilt:g} rad is not a standard deviation", where="tilt of the base",
+                           remedy="give an angle from 0 on")
     targets = dict(targets or {"tip": 0.01})
     for name, value in targets.items():
         if not (np.isfinite(value) and value > 0):
@@ -252,5 +300,5 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
     driven = tuple(motions) or tuple(random_trajectory(machine, duration=DURATION, rate=sampling_rate(machine), seed=k)
                                      for k in range(MOTIONS))
     task = random_trajectory(machine, duration=DURATION, rate=TASK_RATE, seed=TASK) if task is None else task
-    return WhatNextProblem(machine, tuple(map(Path, answers)), targets, task, driven, dict(minutes or {}),
-                           tuple(without), seed=seed)
+    return WhatNextProblem(machine, tuple(folders), targets, task, driven, dict(minutes or {}),
+                           tuple(without), base_tilt, seed=seed)

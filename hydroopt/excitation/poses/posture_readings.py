@@ -66,9 +66,8 @@ class PostureReadings:
 def gains(rows: Array, covariance: Array, task: Array, own: slice = slice(None)) -> Array:
     """By how much (K,) the rows (K, u, f) of each candidate, on `own` parameters among all, lower the sum of the
     variances of a task (s, P)."""
-    spread = rows @ covariance[own]
-    core = np.eye(rows.shape[1]) + spread[:, :, own] @ rows.transpose(0, 2, 1)
-    across = spread @ task.T
+    core = np.eye(rows.shape[1]) + rows @ covariance[own, own] @ rows.transpose(0, 2, 1)
+    across = rows @ (covariance[own] @ task.T)
     return np.asarray(np.einsum("kus,kus->k", across, np.linalg.solve(core, across)))
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import permutations
 from pathlib import Path
 
@@ -12,13 +14,14 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt as ho
+from hydroopt import KinematicModel, Model
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.estimation.inference.identifiability import random_states, structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
 from hydroopt.excitation.next.goals import LinearGoal
 from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import Measurement
+from hydroopt.excitation.next.measurements import LEVELLED, LOAD, LOADED, Measurement
 from hydroopt.excitation.next.plan import plan_next
 from hydroopt.excitation.next.sequence import State, lack, sequence
 from hydroopt.logs.poses import Poses
@@ -121,6 +124,11 @@ def test_a_calibration_of_the_step_gives_what_was_expected_of_it(tmp_path: Path)
     ho.solve(ho.calibration_problem(SURVEYED, poses)).save(tmp_path / "calibration")
     again = plan_next(ho.what_next_problem(SURVEYED, [tmp_path / "calibration"], targets={"tip": 0.02}), minutes=1.0)
     assert again.stds[0, 0] == pytest.approx(plan.stds[-1, 0], rel=0.1)
+    calibrated = ho.what_next_problem(tmp_path / "calibration", targets={"tip": 0.02})
+    (goal,) = calibrated.goals
+    assert goal.std(calibrated.knowledge.covariance) == pytest.approx(again.stds[0, 0], rel=0.05)
+    alone = ho.what_next_problem(calibrated.machine, targets={"tip": 0.02})  # its file states no correlations
+    assert alone.goals[0].std(alone.knowledge.covariance) > 1.3 * again.stds[0, 0]
 
 
 def test_the_command_writes_sheet_page_and_json(tmp_path: Path) -> None:
@@ -142,3 +150,115 @@ def test_the_command_writes_sheet_page_and_json(tmp_path: Path) -> None:
 def test_what_cannot_be_planned_is_refused(options: dict, sentence: str) -> None:
     with pytest.raises(ProblemError, match=sentence):
         plan_next(ho.what_next_problem(LIFT, **options))
+
+
+def reading(problem: ho.WhatNextProblem, name: str) -> Measurement:
+    return next(each for each in problem.measurements if each.name == name)
+
+
+@cache
+def surveyed() -> ho.WhatNextProblem:
+    return replace(ho.what_next_problem(SURVEYED, targets={"tip": 0.01}, without=["station", "plate"]), candidates=8)
+
+
+def poses_read(problem: ho.WhatNextProblem, names: Sequence[str], seed: int, *, random: bool) -> tuple[Poses, dict]:
+    """What is read with some additions and by the joints in the postures of the first of them."""
+    measured = reading(problem, names[0])
+    none = np.full(len(measured.q), "")
+    table = Poses("planned", none, none, channels={
+        f"{joint}.q": measured.q[:, k] for k, joint in enumerate(problem.chain.joints)},
+        units={f"{joint}.q": "rad" for joint in problem.chain.joints})
+    made = simulate_poses(KinematicModel(problem.equipped), table, random=random, seed=seed)
+    return replace(made.poses, channels={name: values for name, values in made.poses.channels.items() if name.endswith(
+        ".q") or name.partition(".")[0] in names}), made.truth
+
+
+@pytest.mark.parametrize("name", ["pins_boom", "stick_cylinder", "inclination_boom"])
+def test_an_addition_gives_what_a_calibration_with_it_gives(name: str) -> None:
+    problem = surveyed()
+    state = State(problem.knowledge, {})
+    for k in range(len(reading(problem, name).rows)):
+        state = state.after(reading(problem, name), k)
+    poses, _ = poses_read(problem, [name], 1, random=False)
+    found = ho.solve(ho.calibration_problem(problem.equipped, poses))
+    std = dict(zip(state.knowledge.names, np.sqrt(np.diag(state.knowledge.covariance)), strict=True))
+    before = dict(zip(state.knowledge.names, np.sqrt(np.diag(problem.knowledge.covariance)), strict=True))
+    names = found.problem.parameters.names
+    free = [k for k, each in enumerate(names) if each in std and np.isfinite(found.std[k])]
+    assert [found.std[k] for k in free] == pytest.approx([std[names[k]] for k in free], rel=0.02)
+    assert min(std[each] / before[each] for each in std) < 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pins_boom", "inclination_boom"])
+def test_drawn_machines_measured_with_an_addition_err_as_expected(name: str) -> None:
+    problem = surveyed()
+    state = State(problem.knowledge, {})
+    for k in range(len(reading(problem, name).rows)):
+        state = state.after(reading(problem, name), k)
+    std = dict(zip(state.knowledge.names, np.sqrt(np.diag(state.knowledge.covariance)), strict=True))
+    errors = []
+    for draw in range(40):
+        poses, truth = poses_read(problem, [name], draw, random=True)
+        found = ho.solve(ho.calibration_problem(problem.equipped, poses))
+        errors.append([(found.theta[found.problem.parameters.index(each)] - truth[each]) / std[each]
+                       for each in ("boom.a", "boom.theta", "stick.theta")])
+    assert np.sqrt(np.mean(np.square(errors), axis=0)) == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_an_uncertain_tilt_of_the_base_costs_a_weighed_load_and_levelling_saves() -> None:
+    """Against loads weighed by the forces of a machine that is rolled and pitched by a standard deviation."""
+    size = 0.02
+    problem = ho.what_next_problem(LIFT, targets={"load": 1.0}, base_tilt=size)
+    (goal,), level = problem.goals, reading(problem, "level")
+    model, psi, before = problem.model, problem.model.parameters.nominal, problem.knowledge
+    after = State(before, {}).after(level, 0).knowledge
+    rng = np.random.default_rng(1)
+    q = random_states(model, len(goal.by_numbers), rng)[0]
+    qd = 0.1 * np.sqrt(np.mean(problem.task.qd**2, axis=0)) * rng.choice([-1.0, 1.0], q.shape)
+    here, off = model.over(model.regressor, q, qd, 0 * q)[0] @ psi, []
+    for tilt in size * np.eye(3)[:2]:
+        turned = Model(model.machine.model_copy(update={"orientation": tuple(model.machine.orientation + tilt)}))
+        off.append(turned.over(turned.regressor, q, qd, 0 * q)[0] @ psi - here)
+    for known, part in ((before, 1.0), (after, LEVELLED / np.hypot(size, LEVELLED))):
+        exact = known.covariance.copy()
+        exact[:2] = exact[:, :2] = 0.0
+        weights = goal.weights(known.covariance)
+        loads = part * np.array([np.sum(weights * each, axis=1) for each in off])
+        rows = np.einsum("sr,srp->sp", weights, goal.by_numbers)
+        without = np.mean(np.einsum("sp,pk,sk->s", rows, exact, rows)) + goal.floor(known.covariance)
+        expected = np.sqrt(without + np.mean(np.sum(loads**2, axis=0)))
+        assert goal.std(known.covariance) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_known_load_teaches_what_a_weighing_of_it_does() -> None:
+    """Against 4,000 machines whose forces under a known load are drawn, and ψ found by least squares."""
+    problem = ho.what_next_problem(LIFT, targets={"load": 1.0})
+    (goal,), known = problem.goals, reading(problem, "known_load")
+    after = State(problem.knowledge, {}).after(known, 0).knowledge
+    rng, count = np.random.default_rng(3), 4000
+    prior = np.linalg.cholesky(problem.knowledge.covariance)
+    delta = rng.normal(size=(count, len(prior))) @ prior.T
+    mass = LOAD * (1 + LOADED * rng.normal(size=count))
+    rows, effect = goal.by_numbers[0], goal.effect[0]
+    force = delta @ rows.T + (mass - LOAD)[:, None] * effect
+    force += rng.normal(size=force.shape) * np.sqrt(goal.noise)
+    noise = np.diag(goal.noise) + np.outer(effect, effect) * (LOAD * LOADED) ** 2
+    gain = np.linalg.solve(rows @ problem.knowledge.covariance @ rows.T + noise, rows @ problem.knowledge.covariance).T
+    left = delta - force @ gain.T
+    tasks = goal.rows(after.covariance)
+    found = np.sqrt(np.mean(np.sum((left @ tasks.T) ** 2, axis=1)) + goal.floor(after.covariance))
+    assert found == pytest.approx(goal.std(after.covariance), rel=0.05)
+    assert goal.std(after.covariance) < 0.5 * goal.std(problem.knowledge.covariance)
+
+
+def test_an_addition_comes_with_what_the_machine_file_needs() -> None:
+    problem = surveyed()
+    added = {each.name: each for each in problem.additions}
+    text = SURVEYED.read_text("utf-8") + "\n\n" + added["pins_boom"].file + "\n\n" + added["inclination_boom"].file
+    machine = ho.read_machine(text)
+    assert "pins_boom" in {each.name for each in machine.distances}
+    only = [each.name for each in problem.measurements if each.name != "pins_boom"]
+    plan = plan_next(replace(problem, without=(*problem.without, *only)), minutes=6.0)
+    assert plan.steps[0].measurement.file in plan.files()["addition.toml"]
+    assert "addition.toml" in plan.next_steps[0].text
