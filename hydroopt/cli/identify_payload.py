@@ -13,6 +13,7 @@ from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
+    GainError,
     MachineName,
     MapFile,
     ParameterSetName,
@@ -36,8 +37,7 @@ def identify_payload(
     link: Annotated[str | None, typer.Option(help="Link that carries the load; by default the last one.")] = None,
     friction_changes: Annotated[bool, typer.Option("--friction-changes", help=(
         "Friction may differ with the load, as it does in gears."))] = False,
-    gain_error: Annotated[float, typer.Option(help=(
-        "Standard deviation of the relative error of each actuator's force readings, e.g. 0.05."))] = 0.0,
+    gain_error: GainError = None,
     map_file: MapFile = None,
     treat: Treat = None,
     smoothing: SmoothingText = "spline",

@@ -45,6 +45,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON."
 Directory = Annotated[Path, typer.Option("-o", "--output", help="Directory that receives everything.")]
 MapFile = Annotated[Path | None, typer.Option(
     "--map", help="TOML file that maps the columns of foreign logs to channels and units.")]
+GainError = Annotated[float | None, typer.Option(help=(
+    "Standard deviation of the relative error of each actuator's force readings, by areas and sensors' scales, e.g. "
+    "0.02; by default the machine file's [faults] gain, or none."))]
 Treat = Annotated[list[str] | None, typer.Option(
     help="How to treat a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
 

@@ -13,6 +13,7 @@ from hydroopt.cli.answers import print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
+    GainError,
     MachineName,
     MapFile,
     ParameterSetName,
@@ -55,6 +56,7 @@ def weigh(
         "Standard deviation of each pressure's zero since the calibration."))] = "0.35 bar",
     load_friction: Annotated[float, typer.Option(help=(
         "Standard deviation of the friction that grows with the force, as a part of it."))] = 0.01,
+    gain_error: GainError = None,
     known: Annotated[list[str] | None, typer.Option(metavar="MASS:LOG", help=(
         "Log with a load of known mass, e.g. '1200 kg:weight.csv', which calibrates the scale; repeatable."))] = None,
     known_sigma: Annotated[str, typer.Option(help="Standard deviation of known masses.")] = "2 kg",
@@ -96,7 +98,7 @@ def weigh(
     load = CarriedLoad(carrier, _place(model, carrier, centre), (spread, spread, spread),
                        size(full_scale, "kg", "--full-scale"))
     uncertain = Uncertain(size(slope_sigma, "rad", "--slope-sigma"), load_friction,
-                          size(zero_drift, "Pa", "--zero-drift"))
+                          size(zero_drift, "Pa", "--zero-drift"), gain_error)
     tilt = [size(text, "rad", option) if text else stated for text, option, stated in (
         (roll, "--roll", described.orientation[0]), (pitch, "--pitch", described.orientation[1]))]
     with progress(f"weighing with {described.name}", quiet) as say:

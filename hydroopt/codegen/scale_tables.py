@@ -112,7 +112,8 @@ class ScaleTables:
     @property
     def rules(self) -> Mapping[str, float]:
         """Numbers of the rules."""
-        return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST,
+        of_gains = {"SMALLEST_SHARE": equations.SMALLEST_SHARE} if self.scale.gains else {}
+        return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST, **of_gains,
                 "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
                 "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
                 "NOTICED": course.NOTICED, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
@@ -138,7 +139,7 @@ class ScaleTables:
                 "root": own.root, "right": own.right, "angle_std": scale.angle_std, "force_std": scale.force_std,
                 "gravity": np.array(np.linalg.norm(scale.gravity)), "axes": scale.axes,
                 "centre": np.array(load.centre), "centre_std": np.array(load.centre_std),
-                "full_scale": np.array(load.full_scale), "radius": np.array(load.radius),
+                "full_scale": np.array(load.full_scale), "radius": np.array(load.radius), "gain": np.array(scale.gain),
                 "needed": np.array(self.needed)}
 
     @cached_property

@@ -78,8 +78,14 @@ SESSION_WORDS: dict[Kind, Words] = {
         "Check where the load's centre of mass is (--centre, --centre-sigma), signs and channels of pressures, that "
         "the machine was empty during the tare, the tool, and the calibration."),
     Kind.FORCE_SCALE_ASSUMED: Words(
-        "Force readings are assumed to be right in scale: a common relative error of all of them is that of the mass.",
-        "State with --gain-error how large their relative errors may be."),
+        "Force readings are assumed to be right in scale: a common relative error of all of them, as of piston areas "
+        "or sensors' scales, is that of the mass.",
+        "State with --gain-error how large their relative errors may be. In weigh, one known load determines them "
+        "(--known)."),
+    Kind.FORCE_SCALE_WRONG: Words(
+        "By the known load the force of {subject} is read {percent} % too {way}; the masses are corrected for it.",
+        "Correct its piston areas or torque per pressure in the machine file, or its sensors' scale, and calibrate "
+        "again."),
     Kind.NO_INTERIOR: Words(
         "Bounds or bodies leave no interior to sample: intervals are those of least squares without bounds."),
 }

@@ -159,6 +159,7 @@ class Kind(StrEnum):
     NO_LOAD_FOUND = "no load found"
     SCALE_CONTRADICTED = "readings contradict the scale's model"
     FORCE_SCALE_ASSUMED = "scale of force readings assumed exact"
+    FORCE_SCALE_WRONG = "scale of a force reading wrong"
     NO_INTERIOR = "intervals of least squares"
 
     # kinematic calibration and pose planning

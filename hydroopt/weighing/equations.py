@@ -14,27 +14,29 @@ from hydroopt.weighing.smoothed_log import SmoothedLog
 
 LEAST = 1e-6
 """Square of gravity's part along that of the machine file that is left at least [m²/s⁴]."""
+SMALLEST_SHARE = 0.1
+"""Part of a force's reading that is the force's at least."""
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
     """M samples of r forces as they depend on a scale's own unknowns and on the ten numbers φ of a load.
 
-    With x = (1, z, μ, φ), the model's numbers z and friction μ, and a change δg of gravity the force is ``predicted +
-    (K + G·δg)·x``.
+    With x = (1, z, μ, ε, φ), the model's numbers z, friction μ and parts ε of the readings that are too much, and a
+    change δg of gravity the force is ``predicted + (K + G·δg)·x``, and its reading ``1/(1 − ε)`` times the force.
 
     Attributes:
         t: (M,) [s].
         sign: (M, r) see `SmoothedLog`; where it is 0 the equation is not used.
-        rest: (M, r) measured less predicted force.
-        K: (M, r, 1 + k + r + 10), 0 in its first column; G: (M, r, 1 + k + r + 10, 3).
+        predicted: (M, r) forces [N or N·m] of the calibrated machine without load.
+        K: (M, r, c − 1 + 10) of c own unknowns, 0 in its first column; G: (M, r, c − 1 + 10, 3).
         by_motion: (M, r, 4, n, 11) derivatives of the force by q and its first three derivatives, without load and per
             number of it, times the standard deviation of a position's reading.
     """
 
     scale: Scale
     smoothed: SmoothedLog
-    rest: Array
+    predicted: Array
     K: Array
     G: Array
     by_motion: Array
@@ -50,6 +52,11 @@ class Equations:
         return self.smoothed.sign
 
     @cached_property
+    def rest(self) -> Array:
+        """(M, r) measured less predicted forces."""
+        return self.smoothed.force - self.predicted
+
+    @cached_property
     def moving(self) -> NDArray[np.bool_]:
         """(M, r) where a joint moves in one direction and its force is known."""
         return np.asarray((self.sign != 0) & np.isfinite(self.rest))
@@ -60,7 +67,13 @@ class Equations:
         K, G = self.K[i], self.G[i]
         x = np.concatenate([[1.0], own[:-2], phi])
         by_number, by_tilt = K + G @ change, np.einsum("rxg,x->rg", G, x) @ turn
-        return self.rest[i] - by_number @ x, np.hstack([by_number[:, 1:-10], by_tilt, by_number[:, -10:]])
+        rest, J = self.rest[i] - by_number @ x, np.hstack([by_number[:, 1:-10], by_tilt, by_number[:, -10:]])
+        if self.scale.gains:
+            at = slice(-2 - self.scale.gains, -2)
+            force, read = self.smoothed.force[i] - rest, 1 / np.maximum(1 - own[at], SMALLEST_SHARE)
+            rest, J = self.smoothed.force[i] - read * force, read[:, None] * J
+            J[:, : len(own)][:, at] += np.diag(read**2 * force)
+        return rest, J
 
     def noise_by_motion(self, i: int, phi: Array) -> Array:
         """(r, 4, n) derivatives of sample i's forces by the motion with a load φ, per noise of a position."""
@@ -94,5 +107,5 @@ def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
         for k, column in enumerate((psi, *scale.carried.T)):
             by = np.stack(model.over(model.force_by_motion, *smoothed.motion(tau), column), axis=2)
             by_motion[..., k] += share * np.einsum("mrxn,xd->mrdn", by, smoothed.kernel.at_node(tau))
-    return Equations(scale, smoothed, smoothed.force - predicted[:, :, 0], seen, np.ascontiguousarray(G),
+    return Equations(scale, smoothed, predicted[:, :, 0], seen, np.ascontiguousarray(G),
                      by_motion * scale.angle_std[:, None])

@@ -41,9 +41,18 @@ class Gaussian:
         count = len(self.right) - places.start
         return Gaussian(rows[count:len(order), count:-1], rows[count:len(order), -1])
 
-    def and_independent(self, mean: Array, std: Array) -> Gaussian:
-        """These unknowns, and independent ones after them."""
-        k, more = len(self.right), len(mean)
+    def changed(self, by: Array, covariance: Array) -> Gaussian:
+        """Of ``by·x`` and a change of this covariance (k, k), which is independent of x."""
+        root = np.linalg.cholesky(np.linalg.inv(by @ self.covariance @ by.T + covariance)).T
+        return Gaussian(root, root @ (by @ self.mean))
+
+    def and_other(self, other: Gaussian) -> Gaussian:
+        """These unknowns, and after them others that are independent of them."""
+        k, more = len(self.right), len(other.right)
         root = np.zeros((k + more, k + more))
-        root[:k, :k], root[k:, k:] = self.root, np.diag(1 / std)
-        return Gaussian(root, np.concatenate([self.right, mean / std]))
+        root[:k, :k], root[k:, k:] = self.root, other.root
+        return Gaussian(root, np.concatenate([self.right, other.right]))
+
+    def and_independent(self, mean: Array, std: Array) -> Gaussian:
+        """These unknowns, and after them some that are independent of them and of each other."""
+        return self.and_other(Gaussian.independent(mean, std))

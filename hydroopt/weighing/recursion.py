@@ -52,12 +52,14 @@ class Weighed:
         both: them, and the ten numbers of the load about its expected centre after them.
         misfit: root mean square of the weighted residuals, about 1 where all is as expected.
         change: the likeliest change of the mass within the last samples.
+        gain: standard deviation of the relative error that all masses have in common.
     """
 
     own: Array
     both: Gaussian
     misfit: float
     change: Change
+    gain: float
 
     @property
     def own_known(self) -> Gaussian:
@@ -77,8 +79,8 @@ class Weighed:
 
     @cached_property
     def covariance(self) -> Array:
-        """(10, 10) of φ, with the misfit."""
-        return self.load.covariance * max(1.0, self.misfit) ** 2
+        """(10, 10) of φ, with the misfit and the common error of all masses."""
+        return self.load.covariance * max(1.0, self.misfit) ** 2 + self.gain**2 * np.outer(self.phi, self.phi)
 
     @property
     def mass(self) -> float:
@@ -228,7 +230,8 @@ class Recursion:
         size, along = changes[ago]
         change = Change(float(ratios[ago]) / max(1.0, self._before[-1]), ago,
                         float(along / size) if size > 0 else 0.0)
-        return Weighed(self.own, Gaussian(root, right), float(np.sqrt(rest / max(self.rows, 1))), change)
+        return Weighed(self.own, Gaussian(root, right), float(np.sqrt(rest / max(self.rows, 1))), change,
+                       self._equations.scale.gain)
 
     def solved_empty(self) -> Weighed:
         """The scale's own unknowns after samples of the empty machine, with a load of zero."""
@@ -237,7 +240,8 @@ class Recursion:
         rest = self._products[0, 0] + np.sum(self._table[c:, c + 10] ** 2)
         self.own, self.phi = own.mean, np.zeros(10)
         misfit = float(np.sqrt(rest / max(self.rows, 1)))
-        return Weighed(self.own, own.and_independent(np.zeros(10), np.full(10, TINY)), misfit, Change(0.0, 0, 0.0))
+        return Weighed(self.own, own.and_independent(np.zeros(10), np.full(10, TINY)), misfit, Change(0.0, 0, 0.0),
+                       self._equations.scale.gain)
 
 
 def _triangle(*rows: Array) -> Array:

@@ -34,6 +34,9 @@ STEEPEST = 0.5
 """Cosine of the angle from the machine file's gravity up to which a slope is taken."""
 STEEP = np.radians(5.0)
 """Slope of the base at which it is measured [rad]."""
+UNKNOWN_GAIN = 0.1
+"""Standard deviation of the relative error of each force reading before a known load determines it, if none is
+stated."""
 TRIALS, TRIAL_DURATION, TRIAL_RATE = 8, 60.0, 5.0
 """How many random motions stand for a calibration's where its logs are not there, their duration [s] and rate [Hz]."""
 
@@ -73,6 +76,13 @@ class Uncertain:
         slope: of the base's inclination, in each direction [rad].
         load_friction: of the friction that grows with the force, as a part of it.
         zero_drift: of each pressure's zero since the calibration [Pa].
+        gain: of the relative error of force readings, the same in the calibration: of piston areas, torques per
+            pressure and sensors' scales. Without a known load it is that of every mass. By default the machine file's
+            ``[faults] gain``; if neither is stated, readings are taken as exact, but a known load determines their
+            errors from `UNKNOWN_GAIN` on.
+
+    Raises:
+        ProblemError: the gain is negative, or not less than 1.
 
     See `weigh` for an example of a scale, which takes them as `uncertain`.
     """
@@ -80,6 +90,27 @@ class Uncertain:
     slope: float = float(np.radians(3.0))
     load_friction: float = 0.01
     zero_drift: float = 35e3
+    gain: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.gain is not None and not 0 <= self.gain < 1:
+            raise ProblemError(f"a relative error must be at least 0 and less than 1, not {self.gain:g}", where="gain",
+                               remedy="give a part of one, such as 0.02")
+
+
+@dataclass(frozen=True, eq=False)
+class ForceReadings:
+    """What errors in scale of force readings, the same in the calibration and afterwards, have done to it.
+
+    Attributes:
+        taken: (p, r) what each force's readings contribute to the calibrated parameters.
+        too_large: (r,) what the calibration tells of the part of each force that is read too much.
+        std: of that part before the calibration.
+    """
+
+    taken: Array
+    too_large: Gaussian
+    std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,19 +118,24 @@ class Scale:
     """An identified machine that weighs; `scale` makes one, `learned` refines it.
 
     Its own unknowns are, in this order: k numbers of the model, in directions that are independent and standard normal
-    after the calibration; the friction of r balances per force; two components of gravity [m/s²] across that of the
-    machine file, along the base's x and y where z points up.
+    after the calibration; the friction of r balances per force; after a known load the part of each of the r forces
+    that is read too much; two components of gravity [m/s²] across that of the machine file, along the base's x and y
+    where z points up.
 
     Attributes:
         model: of the machine.
         psi: (p,) identified parameters.
         directions: (p, k) of what is uncertain of them.
-        taken: (p, r) what the calibration took for parameters, per friction that grows with the force, of each balance.
+        taken: (p, r or 2·r) what the calibration took for parameters, per friction that grows with the force of each
+            balance, and after a known load per part of each force that is read too much.
         load: what it weighs.
         own: what is known of its own unknowns.
         uncertain: what no calibration tells.
         angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces.
         tilt: roll and pitch of the base as stated, and their standard deviation [rad].
+        gain: standard deviation of the relative error that all masses have in common; 0 after a known load.
+        readings: what lets a known load determine errors in scale; None where they are stated to be exact.
+        drifts: (k, a) part in the model's numbers of what drifts from session to session.
 
     See `weigh` for an example.
     """
@@ -114,6 +150,9 @@ class Scale:
     angle_std: Array
     force_std: Array
     tilt: tuple[float, float, float]
+    gain: float
+    readings: ForceReadings | None
+    drifts: Array
 
     @cached_property
     def carried(self) -> Array:
@@ -135,6 +174,22 @@ class Scale:
         """Number of its own unknowns."""
         return len(self.own.right)
 
+    @property
+    def gains(self) -> int:
+        """Number of force readings whose error in scale is an own unknown: all or none."""
+        return int(self.taken.shape[1]) - len(self.force_std)
+
+    @property
+    def exact(self) -> bool:
+        """Whether force readings are taken to be right in scale."""
+        return not self.gains and self.gain == 0
+
+    @property
+    def read_too_large(self) -> tuple[Array, Array]:
+        """Part of each force that is read too much, and its standard deviation, after a known load; empty before."""
+        at = slice(self.count - 2 - self.gains, self.count - 2)
+        return self.own.mean[at], np.sqrt(np.diag(self.own.covariance)[at])
+
     def on_slope(self, roll: float, pitch: float, std: float | None = None) -> Scale:
         """The same scale on another slope: roll and pitch of the base [rad] as an inclinometer reads them.
 
@@ -154,6 +209,25 @@ class Scale:
         tilt = slice(self.count - 2, self.count)
         return replace(self, tilt=(roll, pitch, std),
                        own=self.own.without(tilt).and_independent(mean, np.full(2, size * std)))
+
+
+def with_gains(scale: Scale) -> Scale:
+    """The same scale with the errors in scale of force readings among its own unknowns, if there may be any."""
+    if scale.gains or scale.readings is None:
+        return scale
+    own = scale.own.without(slice(scale.count - 2, scale.count)).and_other(scale.readings.too_large)
+    own = own.and_independent(np.zeros(2), np.ones(2))
+    made = replace(scale, own=own, taken=np.hstack([scale.taken, scale.readings.taken]), gain=0.0)
+    return made.on_slope(*scale.tilt)
+
+
+def in_another_session(scale: Scale) -> Scale:
+    """The same scale after pressures' zeros have drifted anew; on the slope as stated."""
+    own = scale.own.without(slice(scale.count - 2, scale.count))
+    by, k = np.eye(len(own.right)), len(scale.drifts)
+    by[:k, :k] -= scale.drifts @ scale.drifts.T
+    own = own.changed(by, np.eye(len(by)) - by @ by)
+    return replace(scale, own=own.and_independent(np.zeros(2), np.ones(2))).on_slope(*scale.tilt)
 
 
 def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str | Path, load: CarriedLoad, *,
@@ -198,17 +272,23 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
         np.concatenate([each.qd for each in logs]), np.concatenate([each.qdd for each in logs]))]
     taken = np.array([_taken_for_friction(model, known, found, motion) for motion in driven])
     scatter = uncertain.load_friction * np.concatenate([*(taken - taken.mean(axis=0))], axis=1) / np.sqrt(len(taken))
-    slope = np.hstack([found.slope, _drifts(model, uncertain.zero_drift), scatter])
+    taken = taken.mean(axis=0)
+    drifts = _drifts(model, uncertain.zero_drift)
+    slope = np.hstack([found.slope, drifts, scatter])
     across = _axes(np.asarray(gravity_in_base(machine)).ravel())[:2]
     tilted = machine.gravity * STEEP * np.einsum("ac,mcrp->amrp", across, G)
-    directions = _reduced(np.concatenate([K, *tilted]), slope, force_std)
+    axes = _shown(np.concatenate([K, *tilted]), slope, force_std)
+    directions = slope @ axes
     r, size = len(machine.balances), machine.gravity
     own = Gaussian.independent(
-        np.zeros(directions.shape[1] + r + 2),
-        np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction),
-                        np.full(2, size * uncertain.slope)]))
-    return Scale(model, found.offset, directions, taken.mean(axis=0), load, own, uncertain, angle_std, force_std,
-                 (*machine.orientation[:2], uncertain.slope))
+        np.zeros(directions.shape[1] + r),
+        np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction)]))
+    own = own.and_independent(np.zeros(2), np.full(2, size * uncertain.slope))
+    gain = machine.faults.gain if uncertain.gain is None else uncertain.gain
+    readings = None if gain == 0 else _readings(known, found, gain or UNKNOWN_GAIN)
+    return Scale(model, found.offset, directions, taken, load, own, uncertain, angle_std, force_std,
+                 (*machine.orientation[:2], uncertain.slope), gain or 0.0, readings,
+                 axes[p : p + drifts.shape[1]].T)
 
 
 def _axes(gravity: Array) -> Array:
@@ -247,14 +327,14 @@ def _drifts(model: Model, std: float) -> Array:
     return np.column_stack(columns) if columns else np.zeros((len(names), 0))
 
 
-def _reduced(K: Array, slope: Array, force_std: Array) -> Array:
-    """The directions (p, k) of ``slope·z`` that forces show, z standard normal, in coordinates as independent.
+def _shown(K: Array, slope: Array, force_std: Array) -> Array:
+    """Axes (z, k), orthonormal, of what forces show of ``slope·z``.
 
     What predicts the same forces within `NEGLIGIBLE` in a motion with the regressors K (N, r, p) is left out.
     """
     seen = (K @ slope / force_std[:, None]).reshape(-1, slope.shape[1]) / np.sqrt(len(K))
     squares, axes = np.linalg.eigh(seen.T @ seen)
-    return np.asarray(slope @ axes[:, squares > NEGLIGIBLE**2])
+    return np.asarray(axes[:, squares > NEGLIGIBLE**2])
 
 
 def _taken_for_friction(model: Model, known: StoredInformation, found: GaussianPosterior,
@@ -273,3 +353,25 @@ def _taken_for_friction(model: Model, known: StoredInformation, found: GaussianP
         rows = triangle[:, :p]
         made.append(found.slope @ (found.slope.T @ (rows.T @ (rows @ imitated))))
     return np.column_stack(made)
+
+
+def _readings(known: StoredInformation, found: GaussianPosterior, std: float) -> ForceReadings:
+    """What errors in scale of the readings, of this standard deviation each, did to the calibration, and what it tells
+    of them.
+
+    The estimate is linear in the readings, so that their parts of it hold for errors of any size. The calibration tells
+    whether single forces contradict the others, and all together the stated masses. Forces count there as it predicts
+    them: readings with their noise would be explained best by an error that takes all of the reading away.
+    """
+    r, rows, read = len(known.triangles), known.triangles[:, :, :-1], known.triangles[:, :, -1]
+    taken = found.slope @ (found.slope.T @ np.einsum("rip,ri->pr", rows, read))
+    predicted = rows @ found.offset
+    by_error = np.zeros((*predicted.shape, r))
+    by_error[range(r), :, range(r)] = predicted
+    shown, by_error = (rows @ found.slope).reshape(-1, rows.shape[2]), by_error.reshape(-1, r)
+    imitated = shown.T @ by_error
+    left = by_error - shown @ imitated
+    information = left.T @ left + imitated.T @ (imitated - shown.T @ (shown @ imitated)) + np.eye(r) / std**2
+    root = np.asarray(np.linalg.cholesky(information)).T
+    pull = np.sum(predicted * (read - predicted), axis=1)
+    return ForceReadings(taken, Gaussian(root, np.asarray(np.linalg.solve(root.T, pull))), std)

@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.dynamic.usability import TO_SCALE
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.parameter_kind import ParameterKind
@@ -27,12 +28,16 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.recursion import Recursion, Weighed
-from hydroopt.weighing.scale import Scale
+from hydroopt.weighing.scale import Scale, in_another_session, with_gains
 from hydroopt.weighing.smoothed_log import smoothed_log
 
 METHOD = "moving scale"
 PASSES = 4
 """How often a log with a known load is linearised."""
+WRONG_GAIN, WRONG_STD = 0.02, 3.0
+"""Relative error of a force reading, and how many of its standard deviations, from which it is worth correcting."""
+IMPLAUSIBLE = 3.0
+"""Number of stated standard deviations from which an error of a force reading is not believed."""
 NEEDED = 0.02
 """Half of a mass's 95 % interval, as a part of the full scale, above which it is too uncertain by default."""
 
@@ -185,18 +190,27 @@ class Weighing(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Whether readings contradict the calibrated model."""
+        """Whether readings contradict the calibrated model, and what is known of their scale."""
         worst = max((each.weighed.misfit for each in self.readings if each.status in (
             Weighable.CONTRADICTED, Weighable.TARING)), default=0.0)
-        return (Diagnostic(Kind.SCALE_CONTRADICTED, (), {"misfit": worst}),) if worst > CONTRADICTED else ()
+        contradicted = (Diagnostic(Kind.SCALE_CONTRADICTED, (), {"misfit": worst}),) if worst > CONTRADICTED else ()
+        assumed = (Diagnostic(Kind.FORCE_SCALE_ASSUMED),) if self.scale.exact else ()
+        balances, wrong = self.scale.model.machine.balances, zip(*self.scale.read_too_large, strict=True)
+        return (*contradicted, *assumed, *(
+            Diagnostic(Kind.FORCE_SCALE_WRONG, (balance.name,), {
+                "percent": f"{100 * abs(part):.1f} ± {100 * NORMAL * std:.1f}",
+                "way": "large" if part > 0 else "small"})
+            for balance, (part, std) in zip(balances, wrong, strict=False)
+            if abs(part) > max(WRONG_GAIN, WRONG_STD * std)))
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """How well each load is weighed."""
-        full = self.scale.load.full_scale
+        full, scaled = self.scale.load.full_scale, f"; {TO_SCALE}" if self.scale.exact else ""
         return tuple(
             judged(Purpose.WEIGHING, each.name, NORMAL * each.mass_std, "kg", NORMAL * each.mass_std / full,
-                   condition=f"95 % interval, as a part of the full scale of {readable(full, 'kg')}") if each.ok else
+                   condition=f"95 % interval, as a part of the full scale of {readable(full, 'kg')}{scaled}")
+            if each.ok else
             Use(Purpose.WEIGHING, each.name, Usable.NO, reason=str(each.reading.status)) for each in self.loads)
 
     @property
@@ -204,7 +218,8 @@ class Weighing(Answer):
         """How many loads were weighed."""
         if not self.loads:
             return self.findings[0].text
-        return f"{sum(each.ok for each in self.loads)} of {len(self.loads)} loads are weighed."
+        scaled = f", {TO_SCALE}" if self.scale.exact else ""
+        return f"{sum(each.ok for each in self.loads)} of {len(self.loads)} loads are weighed{scaled}."
 
     def __str__(self) -> str:
         load = self.scale.load
@@ -219,7 +234,9 @@ class Weighing(Answer):
             return (NextStep(Action.CHECK, "If a load was carried, check that the machine was empty during the tare: "
                                            "--tare states how long it is at the beginning."),)
         if all(each.ok for each in self.loads):
-            return ()
+            return () if self.scale.gains else (NextStep(Action.MEASURE, (
+                "Weigh one known load, --known '1200 kg:weight.csv': only it shows errors of areas and sensors' "
+                "scales.")),)
         return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "
                                        "mass more closely."),)
 
@@ -254,7 +271,8 @@ class Weighing(Answer):
                           for each in self.loads],
                 "assumed": {"link": load.link, "centre": list(load.centre), "centre_std": list(load.centre_std),
                             "full_scale": load.full_scale, "radius": load.radius, "slope_std": uncertain.slope,
-                            "load_friction": uncertain.load_friction, "zero_drift": uncertain.zero_drift}}
+                            "load_friction": uncertain.load_friction, "zero_drift": uncertain.zero_drift,
+                            "gain": self.scale.gain, "known_load": self.scale.gains > 0}}
 
     def files(self) -> Mapping[str, str]:
         """What the scale showed over time, as CSV."""
@@ -320,17 +338,19 @@ def weigh(scale: Scale, logs: Log | Sequence[Log], *, tare: float = 10.0, needed
 def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
     """The scale after a log with a load of known mass [kg], with its standard deviation: its calibration.
 
-    What the log tells of bodies, friction and drifts stays; what it tells of its slope does not.
+    What the log tells of bodies, friction and the scale of force readings stays; what it tells of its slope and its
+    pressures' zeros does not.
 
     Raises:
         LogError: see `weigh`.
-        ProblemError: the standard deviation is not positive, or the log contradicts the model.
+        ProblemError: the standard deviation is not positive, or mass and log contradict the model or each other.
 
     See `weigh` for an example of the other steps.
     """
     if not (np.isfinite(mass) and np.isfinite(std) and std > 0):
         raise ProblemError("a known load has a finite mass and a positive standard deviation", where="learned",
                            remedy="give both in kg")
+    scale = with_gains(scale)
     made = equations(scale, smoothed_log(scale.model, log))
     with threadpool_limits(limits=1, user_api="blas"):
         sought = Recursion(made, scale.own, mass)
@@ -344,4 +364,11 @@ def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
     if found.misfit > CONTRADICTED:
         raise ProblemError(f"the log contradicts the scale's model ({found.misfit:.1f} times the expected residuals)",
                            where=log.path or log.name, remedy="check the mass, the load's centre and the slope")
-    return replace(scale, own=found.own_known).on_slope(*scale.tilt)
+    made_sure = replace(scale, own=found.own_known)
+    wrong = max(made_sure.read_too_large[0], key=abs, default=0.0)
+    if scale.readings is not None and abs(wrong) > IMPLAUSIBLE * scale.readings.std:
+        raise ProblemError(f"a force reading would have to be {100 * abs(wrong):.0f} % too "
+                           f"{'large' if wrong > 0 else 'small'} for a load of {mass:g} kg",
+                           where=log.path or log.name, remedy="correct the known mass, or the areas in the machine "
+                           "file; a larger --gain-error (gain) allows for larger errors")
+    return in_another_session(made_sure)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
+from fixtures.tiers import tiered
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.report.weighing import render
 from hydroopt.results.wording import Kind
@@ -17,7 +18,7 @@ from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.recursion import Recursion, expected, load_prior
-from hydroopt.weighing.scale import CarriedLoad, Scale, scale
+from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain, scale
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 from hydroopt.weighing.weighing import Weighing, learned, weigh
@@ -234,12 +235,49 @@ def test_a_light_load_that_is_dumped_is_not_taken_for_the_empty_machine(machine:
 def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
     motion = ho.random_trajectory(machine.model, duration=12.0, rate=50.0, seed=9)
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
-    taught = learned(made, weight, 1500.0, 2.0)
-    before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (made, taught))
-    assert after.mass_std < 0.9 * before.mass_std
+    unsure = scale(machine.model, machine.calibration(5), LOAD, uncertain=Uncertain(gain=0.02))
+    taught = learned(unsure, weight, 1500.0, 2.0)
+    before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (unsure, taught))
+    assert after.mass_std < 0.6 * before.mass_std
+    assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + weigh(
+        made, log, tare=0.0).readings[-1].weighed.mass_std ** 2)
     assert abs(after.mass - MASS) < 4 * after.mass_std
-    with pytest.raises(ho.ProblemError, match="contradicts the scale's model"):
+    with pytest.raises(ho.ProblemError, match=r"4\d % too large for a load of 900 kg"):
         learned(made, weight, 900.0, 2.0)
+    with pytest.raises(ho.ProblemError, match="contradicts the scale's model"):
+        learned(made, weight, 500.0, 2.0)
+
+
+WRONG_FILES = {"all": (1.1, 1.1, 1.1), "boom": (1.0, 1.1, 1.0), "stick": (1.0, 1.0, 0.9)}
+"""By what the file's torque per pressure and areas of swing, boom and stick are wrong."""
+
+
+@pytest.mark.parametrize("wrong", tiered(WRONG_FILES, lambda wrong: wrong == "boom"))
+def test_a_known_load_corrects_wrong_areas(wrong: str, log: ho.Log, machine: SimulatedMachine) -> None:
+    """Without it masses are true to the file, and said to be; then the file's error is found and changes nothing."""
+    right, factors = machine.model.machine, WRONG_FILES[wrong]
+    file = right.model_copy(update={
+        "motors": tuple(each.model_copy(update={"torque_per_pressure": factors[0] * each.torque_per_pressure})
+                        for each in right.motors),
+        "cylinders": tuple(each.model_copy(update={key: factor * getattr(each, key)
+                                                   for key in ("head_area", "rod_area")})
+                           for each, factor in zip(right.cylinders, factors[1:], strict=True))})
+    made = scale(ho.Model(file), machine.calibration(5), LOAD)
+    trusting = weigh(made, log)
+    assert "true to the stated areas and sensors' scales" in trusting.headline
+    assert all("true to the stated areas" in use.condition for use in trusting.uses)
+    assert [each.kind for each in trusting.diagnostics] == [Kind.FORCE_SCALE_ASSUMED]
+    assert "--known" in trusting.next_steps[0].text
+    motion = ho.random_trajectory(machine.model, duration=20.0, rate=50.0, seed=9)
+    weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
+    found = weigh(learned(made, weight, 1500.0, 2.0), log)
+    assert found.loads[0].ok
+    assert abs(found.loads[0].mass - MASS) < 3 * found.loads[0].mass_std < 0.03 * MASS
+    said = [each for each in found.diagnostics if each.kind is Kind.FORCE_SCALE_WRONG]
+    assert len(found.diagnostics) == len(said) == sum(factor != 1 for factor in factors)
+    assert "true to" not in found.headline
+    for part, factor in zip(found.scale.read_too_large[0], factors, strict=True):
+        assert part == pytest.approx(1 - 1 / factor, abs=0.03)
 
 
 def test_still_machines_do_not_weigh(made: Scale, machine: SimulatedMachine) -> None:

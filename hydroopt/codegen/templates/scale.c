@@ -15,7 +15,7 @@ enum {
     READINGS = {{ P }}_READING_COUNT,
     ROWS = {{ P }}_SCALE_ROWS,
     PSI = {{ P }}_SCALE_PSI,
-    MODEL = {{ P }}_SCALE_NUMBERS - {{ P }}_SCALE_ROWS,
+    MODEL = {{ P }}_SCALE_NUMBERS - {{ P }}_SCALE_ROWS{% if scale.scale.gains %} - {{ P }}_SCALE_ROWS{% endif %},
     NUMBERS = {{ P }}_SCALE_NUMBERS,
     OWN = {{ P }}_SCALE_OWN,
     BODY = {{ P }}_SCALE_BODY,
@@ -296,6 +296,19 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
                 row[(size_t)NUMBERS + j] += by_gravity[a][k] * turn[j][k];
             }
         }
+{% if scale.scale.gains %}
+        {
+            const size_t wrong = (size_t)(MODEL + ROWS) + a;
+            const real share = {{ 1 | number }} - scale->own[wrong];
+            const real read = {{ 1 | number }} / ((share > SMALLEST_SHARE) ? share : SMALLEST_SHARE);
+            const real predicted = force[a] - right;
+            for (size_t j = 0U; j < (size_t)UNKNOWNS; j++) {
+                row[j] *= read;
+            }
+            row[wrong] += square(read) * predicted;
+            right = force[a] - (read * predicted);
+        }
+{% endif %}
         for (size_t j = 0U; j < (size_t)OWN; j++) {
             right += row[j] * scale->own[j];
         }
@@ -513,7 +526,7 @@ static void weigh(const {{ p }}_scale_params_t *params, {{ p }}_scale_t *scale)
         weight[j] = (j == 0U) ? {{ 1 | number }} : {{ 0 | number }};
     }
     scale->shown.mass = scale->phi[0];
-    scale->shown.mass_std = wider * deviation(R, weight);
+    scale->shown.mass_std = sqrt{{ f }}(square(wider * deviation(R, weight)) + square(params->gain * scale->phi[0]));
     for (size_t k = 0U; k < 3U; k++) {
         scale->shown.centre[k] = params->centre[k];
         scale->shown.centre_std[k] = params->centre_std[k];

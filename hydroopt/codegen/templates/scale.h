@@ -28,7 +28,7 @@ typedef enum {
 enum {
     {{ P }}_SCALE_ROWS = {{ scale.rows }}, /* measured forces */
     {{ P }}_SCALE_PSI = {{ scale.psi | length }}, /* dynamic parameters */
-    {{ P }}_SCALE_NUMBERS = {{ scale.numbers }}, /* uncertain numbers of the model, and friction per force of each measured force */
+    {{ P }}_SCALE_NUMBERS = {{ scale.numbers }}, /* uncertain numbers of the model, and friction per force{% if scale.scale.gains %} and error in scale{% endif %} of each measured force */
     {{ P }}_SCALE_OWN = {{ scale.numbers + 2 }}, /* and gravity along the first two axes */
     {{ P }}_SCALE_BODY = 10, /* numbers of the load */
     {{ P }}_SCALE_UNKNOWNS = {{ scale.numbers + 12 }},
@@ -60,6 +60,7 @@ typedef struct {
     {{ type }} centre_std[3]; /* [m] */
     {{ type }} full_scale; /* [kg] */
     {{ type }} radius; /* [m] of gyration of a load, about */
+    {{ type }} gain; /* standard deviation of the relative error that all masses have in common */
     {{ type }} needed; /* [kg] half of the 95 % interval above which a mass is too uncertain */
 } {{ p }}_scale_params_t;
 

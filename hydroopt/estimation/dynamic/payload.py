@@ -155,7 +155,7 @@ class Payload(TwoSessionAnswer):
 
 def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
             loaded: Log | Sequence[Log] | str | Path, *, link: str | None = None,
-            friction_changes: bool = False, gain: float = 0.0,
+            friction_changes: bool = False, gain: float | None = None,
             smoothing: Smoothing | None = None, seed: int = 0, progress: Progress = silent) -> Payload:
     """Mass and centre of mass of a load that one session carries and another does not.
 
@@ -170,7 +170,8 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         loaded: logs, or such a folder.
         link: that carries the load; the last one by default.
         friction_changes: whether friction may differ between the sessions: in gears it grows with the load.
-        gain: standard deviation of the relative error of each actuator's force reading, the same in both sessions.
+        gain: standard deviation of the relative error of each actuator's force reading, the same in both sessions; by
+            default the machine file's ``[faults] gain``, or else 0.
         smoothing: how angles are differentiated.
         seed: of the sampling of intervals.
         progress: is told the steps, see `hydroopt.progress`.
@@ -191,6 +192,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         <Kind.NO_LOAD_DETECTED: 'no payload detected'>
     """
     machine = machine_of(machine, "payload")
+    gain = (machine.faults.gain or 0.0) if gain is None else gain
     if not 0 <= gain < 1:
         raise ProblemError(f"a relative error must be at least 0 and less than 1, not {gain:g}", where="gain",
                            remedy="give a part of one, such as 0.05")

@@ -34,6 +34,8 @@ UPPER = 1.645
 """Standard deviations by which the squared error in a log of finite length is raised, so that it holds in 95 %."""
 RANGE = 4.0
 """Range of a force in its standard deviations."""
+TO_SCALE = "true to the stated areas and sensors' scales"
+"""What masses and loads are without a known load: an error of all force readings in common is that of all masses."""
 _OF_PRIOR = "mostly the machine file's confidence"
 _SEVERITY = (Usable.YES, Usable.UNTESTED, Usable.NO)
 
@@ -169,7 +171,7 @@ def _mass(name: str, value: float | None, interval: tuple[float, float] | None, 
     if interval is None:
         return make(np.nan, "kg", np.nan, untested="the method states no intervals")
     half = (interval[1] - interval[0]) / 2
-    return make(half, "kg", half / abs(value) if value else np.nan, condition="95 % intervals, sensors' scales exact",
+    return make(half, "kg", half / abs(value) if value else np.nan, condition=f"95 % intervals, {TO_SCALE}",
                 reason=_OF_PRIOR * (from_data < FROM_DATA))
 
 
@@ -208,7 +210,7 @@ def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
     std = load_std(K, effect, spread, averaged)
     middle = np.argsort(std)[POSTURES // 2]
     figure, place = NORMAL * float(std[middle]), q[middle : middle + 1]
-    condition = f"95 %, {WEIGHED:g} s of a slow lift in the median posture, sensors' scales exact"
+    condition = f"95 %, {WEIGHED:g} s of a slow lift in the median posture, {TO_SCALE}"
     make = partial(judged, Purpose.WEIGHING, "", figure, "kg")
     if blind := _loaded(model, place):
         yield make(np.nan, condition=condition, untested=(
