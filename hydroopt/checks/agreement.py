@@ -39,6 +39,8 @@ SLOW = 0.1
 """Speed, as a part of a joint's RMS speed, that is no motion."""
 WINDOWS = (11, 21, 41, 81, 161)
 """Samples of the cubic polynomials that angles are differentiated by."""
+MANIFOLD = 10.0
+"""Error of a force, as a multiple of it, from which it is stated as a factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,9 @@ class Agreement:
     def words(self, other: Agreement) -> str:
         """In words what this reading agrees in better or worse than another; of forces, those that change most."""
         actuator = max(self.missed, key=lambda name: abs(self.missed[name] - other.missed[name]))
-        said = [f"misfit {self.score:.3g}, nominal forces of {actuator} off by {100 * self.missed[actuator]:.0f} %"]
+        missed = self.missed[actuator]
+        error = f"{100 * missed:.0f} %" if missed < MANIFOLD else f"a factor of {float(f'{missed:.2g}'):,.0f}"
+        said = [f"misfit {self.score:.3g}, nominal forces of {actuator} off by {error}"]
         if abs(self.gap - other.gap) > 1e-3:
             said.append(f"lengths off by {1e3 * self.gap:.0f} mm")
         if abs(self.outside - other.outside) > 0.005:
@@ -123,9 +127,10 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
         return None
     around = rows[:, None] + np.arange(window) - window // 2
     q, qd, qdd = (np.tensordot(angles[around], kernel[k], (1, 0)) / step**k for k in range(3))
+    noise = _noise(angles, log.segment)
     for values, weights, order in ((qd, kernel[1], 1), (qdd, kernel[2], 2)):  # joints at rest have no motion but noise
-        values[:, np.mean(values**2, axis=0) < 2 * (_noise(angles) * np.linalg.norm(weights) / step**order) ** 2] = 0.0
-    told = np.all(np.isfinite(measured[around]), axis=1)
+        values[:, np.mean(values**2, axis=0) < 2 * (noise * np.linalg.norm(weights) / step**order) ** 2] = 0.0
+    known = np.all(np.isfinite(measured[around]), axis=1)
     calm = np.swapaxes(windowed_median(np.swapaxes(np.nan_to_num(measured)[around], 0, 1), SPIKE), 0, 1)
     force = np.tensordot(calm, kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
@@ -136,15 +141,15 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     K, nominal = evaluated[key]
     if not (np.all(np.isfinite(K)) and np.all(np.isfinite(nominal))):
         return None
-    force = np.where(told, force, nominal)  # a force that is not measured contradicts nothing
+    force = np.where(known, force, nominal)  # a force that is not measured contradicts nothing
     # else dry friction changes its sign within the window
-    steady = told & (np.abs(qd) > np.abs(qdd) * step * window / 2)[:, model.dynamics.kept]
-    squares, priors, noise, levels, missed = _force_terms(
+    steady = known & (np.abs(qd) > np.abs(qdd) * step * window / 2)[:, model.dynamics.kept]
+    squares, priors, by_noise, levels, missed = _force_terms(
         model, log, K, np.stack([force, nominal]), steady, float(np.sqrt(np.sum(kernel[0] ** 2))))
     gap, lengths = _length_terms(model, log, angles, rows)
     outside, ranges = _range_terms(model, q, qd)
     rate = _rate_term(model, log, 1 / step)
-    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise,
+    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, by_noise,
                      _reversals(qd))
 
 
@@ -158,7 +163,7 @@ def _reversals(qd: Array) -> float:
 def _window(angles: Array, log: Log) -> int:
     """The shortest window whose second derivatives of angles are not mostly noise, the same for all joints."""
     longest = max(WINDOWS[0], int(np.max(np.bincount(log.segment - log.segment[0]))) // 6)
-    noise = _noise(angles)
+    noise = _noise(angles, log.segment)
     chosen = WINDOWS[0]
     for window in WINDOWS:
         if window > longest:
@@ -174,9 +179,10 @@ def _window(angles: Array, log: Log) -> int:
     return chosen
 
 
-def _noise(angles: Array) -> Array:
-    """Standard deviation (n,) of the angles' white noise, from third differences."""
-    return np.asarray(np.std(np.diff(angles, 3, axis=0), axis=0) / np.sqrt(20.0))
+def _noise(angles: Array, segment: NDArray[np.int64]) -> Array:
+    """Standard deviation (n,) of the angles' white noise, from third differences within stretches."""
+    within = segment[3:] == segment[:-3]
+    return np.asarray(np.std(np.diff(angles, 3, axis=0)[within], axis=0) / np.sqrt(20.0))
 
 
 def _polynomial(window: int) -> Array:

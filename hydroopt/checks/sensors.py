@@ -80,7 +80,7 @@ def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
 
 def _stuck(log: Log, channel: str, at: NDArray[np.int64], where: str, evidence: str) -> Diagnostic:
     return Diagnostic(Kind.SENSOR_STUCK, (channel,), {
-        "log": where, "share": at.size / log.size, "rows": runs(log.sample[at]), "evidence": evidence,
+        "log": where, "count": int(at.size), "rows": runs(log.sample[at]), "evidence": evidence,
         "value": float(log.channels[channel][at[0]]), "unit": log.units[channel],
         "from_s": float(log.t[at[0]]), "to_s": float(log.t[at[-1]])})
 

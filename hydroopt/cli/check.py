@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -82,7 +83,10 @@ def check(
         else:
             refuse_given({"--reserve": reserve, "--estimate": estimate}, "these logs have forces: they are checked for "
                          "an identification", "leave it out, or give motions without forces")
-            found = check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described))
+            given = [("--map", map_file), *(("--treat", each) for each in treat or ()), ("--bandwidth", bandwidth),
+                     ("--smoothing", smoothing if smoothing != "spline" else None), ("--parameter-set", parameter_set)]
+            found = replace(check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described)),
+                            options=tuple((option, str(value)) for option, value in given if value is not None))
         say("searching for faults", 0.6)
         content = found.content(wall_s=time.perf_counter() - began)
         if output is not None:

@@ -59,7 +59,7 @@ def _imu_facts(machine: Machine, motion: Trajectory | None) -> dict[str, Any]:
     """What a motion tells of where units sit, of their biases and of the joints' positions: standard deviations."""
     found = expected_calibration(machine, motion)
     numbers = [{"name": each.name.replace(f"{NAME}: ", "bias of "), "unit": each.unit, "stated_std": each.prior_std,
-                "expected_std": each.std, "told": DETERMINED[each.identifiability]}
+                "expected_std": each.std, "determined": DETERMINED[each.identifiability]}
                for each in found.parameters.values()]
     spread = {joint: float(np.sqrt(np.mean(np.concatenate([one[f"{joint}.q_std"] for one in found.motions]) ** 2)))
               for joint in machine.joints}

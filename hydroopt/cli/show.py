@@ -111,8 +111,8 @@ def _lines(facts: dict[str, Any], *, everything: bool) -> list[str]:
     if everything:
         return [*lines, *(["Kinematic calibration"] if calibration else []), *calibration]
     if imus:
-        told = sum(each["told"] == "yes" for each in imus["numbers"])
-        lines.append(f"That motion determines {told} of {len(imus['numbers'])} numbers of the IMUs.")
+        determined = sum(each["determined"] == "yes" for each in imus["numbers"])
+        lines.append(f"That motion determines {determined} of {len(imus['numbers'])} numbers of the IMUs.")
     lines += [line for line in (summary.hydraulics(hydraulic), summary.calibration(calibration)) if line]
     return [*lines, "Each parameter and channel: --all. A drawing: -o DIR."]
 

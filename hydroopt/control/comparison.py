@@ -283,14 +283,14 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     refuse_opening(setting.plant, setting.t, demand, demands.valves)
     wanted = 2 * (PI in kinds) + (FEEDFORWARD in kinds) * (len(variants) + 1) + (LQG in kinds)
 
-    def told(first: int, name: str = "") -> Progress:
+    def stage(first: int, name: str = "") -> Progress:
         """Of a step among all: tuning, then each candidate."""
         return lambda text, part=None: progress(name or text, (first + (part or 0.0)) / (1 + wanted))
 
-    told(0)("linearising")
+    stage(0)("linearising")
     on_motion, in_workspace = setting.points(setting.plant, best.psi, setting.theta)
     plants = setting.plants(setting.plant, [*on_motion, *in_workspace], best.psi, setting.theta)
-    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity, told(0))
+    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity, stage(0))
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
@@ -311,7 +311,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     path, outcomes = setting.reference.at(setting.t), []
     analysed: dict[type, tuple[tuple[Margin, ...], Loops]] = {}  # all cascades have the same loops
     for k, (name, kind, variant, controller) in enumerate(candidates):
-        at = told(1 + k, name)
+        at = stage(1 + k, name)
         at(name)
         if type(controller) not in analysed:
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)

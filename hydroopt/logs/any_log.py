@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol, Self, TypeVar
+
+import numpy as np
 
 from hydroopt.logs.log import Log
 from hydroopt.logs.quality import Finding
@@ -92,3 +95,20 @@ def in_memory(items: Iterable[Loadable[Loaded_co]], purpose: str) -> tuple[Loade
     True
     """
     return tuple(item.loaded(purpose) for item in items)
+
+
+def both_parts(first: AnyLog, second: AnyLog) -> AnyLog:
+    """A log of two parts of one file as it was before the split, with the channels of both; the first one alone where
+    samples are read in pieces, or do not follow.
+
+    >>> log = Log("ramp", t=np.arange(6) / 10, channels={"boom.q": np.arange(6) / 10})
+    >>> both_parts(*log.split(0.5)).channel("boom.q").tolist() == log.channel("boom.q").tolist()
+    True
+    """
+    if not (isinstance(first, Log) and isinstance(second, Log)) or second.sample[0] <= first.sample[-1]:
+        return first
+    return replace(first, t=np.concatenate([first.t, second.t]), recording=None,
+                   channels={name: np.concatenate([values, second.channels[name]])
+                             for name, values in first.channels.items() if name in second.channels},
+                   sample=np.concatenate([first.sample, second.sample]),
+                   segment=np.concatenate([first.segment, second.segment]))

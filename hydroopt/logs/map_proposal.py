@@ -169,6 +169,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
     found = _by_triangles(Model(machine), {**_by_number(machine, rest), **_by_name(machine, wanted, rest)})
+    found = _loud_enough(found, wanted)
     taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
     usual = {*(f"{joint}.q" for joint in machine.joints),
              *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
@@ -179,6 +180,18 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)),
         tuple(name for name in wanted if name in usual and name not in found),
         tuple(column.header for column in unused), own, several, possible)
+
+
+def _loud_enough(found: Mapping[str, Proposal], wanted: Mapping[str, str]) -> dict[str, Proposal]:
+    """The proposals, those of pressures as guesses where none is that of a hydraulic machine in its unit."""
+    highest = {name: float(np.nanmax(each.column.values)) * factor(each.unit, "Pa") for name, each in found.items()
+               if wanted[name] == "Pa"}
+    if max(highest.values(), default=np.inf) >= SILENT:
+        return dict(found)
+    most = max(highest.values())
+    return {name: replace(each, sureness="guess", reason=(
+        f"{each.reason}, but the highest of all pressures would be {most / 1e5:.2g} bar: write the right unit"))
+            if name in highest else each for name, each in found.items()}
 
 
 def _possible(named: Naming, free: Mapping[str, str], usual: Collection[str]) -> tuple[str, ...]:

@@ -208,7 +208,8 @@ def refuse_too_short(samples: int, where: str) -> None:
     """Raise a LogError where a stretch has too few samples for a spline."""
     if samples < spline.MIN_SAMPLES:
         raise LogError(f"a stretch of {samples} samples is too short to differentiate", where=where,
-                       remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
+                       remedy="smooth across short gaps (--treat gap=keep), leave it out, or record at least "
+                              f"{spline.MIN_SAMPLES} samples without a gap")
 
 
 def smoothing_note(name: str, where: str, corner: float, residual: float, stated: float | None,

@@ -171,10 +171,10 @@ def described(chart: TimeChart | Curves, samples: Samples) -> str:
     else:
         over, at = samples.clock, samples.at
         lines = [(line.label, samples.columns[line.column]) for line in chart.lines]
-    told = [f"{label} from {plain(float(np.nanmin(values)), 3)} to {plain(float(np.nanmax(values)), 3)}"
+    spans = [f"{label} from {plain(float(np.nanmin(values)), 3)} to {plain(float(np.nanmax(values)), 3)}"
             for label, values in lines if np.any(np.isfinite(values))]
     ends = f"{plain(float(at[0]), 3)} to {plain(float(at[-1]), 3)}" if len(at) else "nothing"
-    return f"{chart.title}, {over} from {ends}: {'; '.join(told) or 'no values'}."
+    return f"{chart.title}, {over} from {ends}: {'; '.join(spans) or 'no values'}."
 
 
 def static(chart: TimeChart | Curves, samples: Samples) -> Markup:

@@ -165,12 +165,12 @@ def _nyquist(comparison: Comparison) -> list[Plane]:
     made, radius = [], 1 / comparison.setting.sensitivity
     for k, each in enumerate(comparison.setting.plant.actuators):
         curves = [(outcome, look, outcome.loops.cut[k]) for outcome, look in _shown(comparison)]
-        told = "; ".join(f"{_label(outcome)}: nearest to −1 by {plain(float(np.min(np.abs(1 + L))), 3)}"
+        nearest = "; ".join(f"{_label(outcome)}: nearest to −1 by {plain(float(np.min(np.abs(1 + L))), 3)}"
                          for outcome, _, L in curves)
         title = f"{each.actuator.name}: Nyquist curve"
         made.append(Plane(title, "real part", "imaginary part", NEAR, tuple(
             (_label(outcome), look, L.real, L.imag) for outcome, look, L in curves), circles=((-1.0, 0.0, radius),),
-            alt=f"{title}, with a circle of radius {plain(radius, 3)} about −1. {told}."))
+            alt=f"{title}, with a circle of radius {plain(radius, 3)} about −1. {nearest}."))
     return made
 
 

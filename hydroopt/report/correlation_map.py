@@ -50,10 +50,10 @@ def correlation_map(names: Sequence[str], correlation: Array) -> Markup:
                      f'text-anchor="end">{name}</text>')
     side = margin + size * cell + LETTER
     return Markup(f'<svg class="correlations" viewBox="0 0 {side:.0f} {side:.0f}" width="{side:.0f}" role="img" '
-                  f'aria-label="{escape(_told(names, correlation))}">{"".join(words)}</svg>')
+                  f'aria-label="{escape(_description(names, correlation))}">{"".join(words)}</svg>')
 
 
-def _told(names: Sequence[str], correlation: Array) -> str:
+def _description(names: Sequence[str], correlation: Array) -> str:
     """The map in words: the pairs that are separated worst."""
     pairs = sorted(combinations(range(len(names)), 2), key=lambda pair: -abs(correlation[pair]))
     worst = [f"{visible(names[i])} and {visible(names[j])} by {_written(float(correlation[i, j]))}"

@@ -121,7 +121,7 @@ class Drawing:
         room = 0.07 * max(float(np.max(high - low)), 1e-3)
         return low - room, high + room
 
-    def told(self, machine: str, how: str) -> str:
+    def description(self, machine: str, how: str) -> str:
         """A view from the side in words."""
         by = {kinds: [part.name for part in self.first.parts if part.kind in kinds] for kinds in (("link",), STRUTS)}
         (left, bottom), (right, top) = ([plain(float(x), 3) for x in corner] for corner in self.corners)

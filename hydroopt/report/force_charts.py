@@ -81,7 +81,7 @@ def charts(estimate: Estimate, made: Samples) -> dict[str, list[Chart]]:
         lines = (Line(f"{name}.measured", "measured", "measured"),
                  *(Line(f"{name}.{other}", other, LOOKS[other], dashed=True) for other in others),
                  Line(f"{name}.{identified}", f"{identified}, identified"))
-        shown["forces"].append(TimeChart(f"{name}: {word} [{printed}]", lines, _told(estimate, name),
+        shown["forces"].append(TimeChart(f"{name}: {word} [{printed}]", lines, _description(estimate, name),
                                          span=_span(made.columns[f"{name}.measured"])))
         turn = "deg" if machine.position_unit(joint) == "rad" else "m"
         left = made.columns[f"{name}.known"]
@@ -101,13 +101,13 @@ def charts(estimate: Estimate, made: Samples) -> dict[str, list[Chart]]:
     return shown
 
 
-def _told(estimate: Estimate, name: str) -> str:
+def _description(estimate: Estimate, name: str) -> str:
     """The fit of an actuator in words."""
     words = {"train": "training", "validation": "validation"}
-    told = [f"{words[data]}: RMS error {plain(table[name].rms, 3)} {unit_text(table[name].unit)}, "
+    errors = [f"{words[data]}: RMS error {plain(table[name].rms, 3)} {unit_text(table[name].unit)}, "
             f"{percent(table[name].vaf)} % of the variance explained"
             for data, table in estimate.fit.items() if name in table]
-    return f"Measured and predicted force of {name} over time. {'; '.join(told)}."
+    return f"Measured and predicted force of {name} over time. {'; '.join(errors)}."
 
 
 def _span(measured: Array) -> tuple[float, float] | None:

@@ -69,7 +69,7 @@ def render(scene: SceneGraph, facts: Mapping[str, Any], side: SidePostures, arms
         "machine.html", scene=SceneView(scene), charts={"range": curves(machine, arms, ratios)}, machine=machine,
         diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
         identifiability=facts["identifiability"],
-        side_view=seen.svg(seen.told(machine.name, SIDE), axes=True), ratios=ratios,
+        side_view=seen.svg(seen.description(machine.name, SIDE), axes=True), ratios=ratios,
         tables=[(title, [_row(row) for row in facts[key]]) for key, title in TABLES.items() if facts[key]])
 
 

@@ -72,7 +72,7 @@ class SceneView:
     @property
     def alt(self) -> str:
         """The view in words."""
-        return self._told("which replays the samples of this page" if self.replayed else
+        return self._description("which replays the samples of this page" if self.replayed else
                           "which moves by the sliders below")
 
     def still(self, samples: Samples | None) -> Markup:
@@ -90,9 +90,9 @@ class SceneView:
         tree = np.hstack([self.graph.tree_positions(q[:, :independent]), q[:, independent:]])
         if not (len(tree) and np.isfinite(tree).all()):
             return Markup()
-        return drawn(self.graph, tree, View.oblique()).svg(self._told(when))
+        return drawn(self.graph, tree, View.oblique()).svg(self._description(when))
 
-    def _told(self, how: str) -> str:
+    def _description(self, how: str) -> str:
         machine, struts = self.graph.machine, self.graph.struts
         parts = f"{len(self.graph.bodies)} links: {', '.join(body.name for body in self.graph.bodies)}"
         between = f"; between pins: {', '.join(strut.name for strut in struts)}" if struts else ""

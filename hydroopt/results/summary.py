@@ -30,9 +30,9 @@ def summary(diagnostics: Iterable[Diagnostic]) -> dict[str, list[str]]:
     found = list(diagnostics)
     groups = of_kind(found, Kind.CONFOUNDED)
     machine = [each for each in found if each.kind in OF_MACHINE and (each not in groups or len(groups) == 1)]
-    told = {DATA: sentences([each for each in found if each.kind not in OF_MACHINE]),
+    by_heading = {DATA: sentences([each for each in found if each.kind not in OF_MACHINE]),
             MACHINE: sentences(machine) + ([_not_separable(groups)] if len(groups) > 1 else [])}
-    return {heading: texts for heading, texts in told.items() if texts}
+    return {heading: texts for heading, texts in by_heading.items() if texts}
 
 
 def _not_separable(groups: Sequence[Diagnostic]) -> str:

@@ -37,6 +37,7 @@ class Kind(StrEnum):
     # of any job
     NO_VALIDATION = "no validation data"
     FINDING = "finding in the data"
+    SHORT_STRETCHES = "log split into short stretches"
     FORCE_NOT_MEASURED = "force not measured in a log"
     PRESSURE_NOT_MEASURED = "pressure not measured in a log"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
@@ -216,7 +217,8 @@ REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
                          Kind.SENSOR_STUCK, Kind.SENSOR_HELD, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
-CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
+CONTRADICTIONS = OF_LOGS | {
+    Kind.SHORT_STRETCHES, Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
     Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LATE_POSITIONS, Kind.LACK_OF_FIT,
     Kind.FASTER_THAN_SMOOTHING, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO,
     Kind.UNEXPLAINED_ACTUATOR,
@@ -232,10 +234,14 @@ WORDS: dict[Kind, Words] = {
         "No log was held out, so the prediction of unseen data is not known.",
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
+    Kind.SHORT_STRETCHES: Words(
+        "Gaps split {subject} into stretches of {median:.2g} s in the median, too short to tell motion from noise.",
+        "Smooth across the gaps, which last {longest:.2g} s at most, if no fast motion falls into them: "
+        "--treat gap=keep."),
     Kind.LOG_MISREAD: Words(
         "Read with {reading}, {log} {agrees} with the machine file: {read_so}. As it is read, it contradicts the "
         "machine file: {as_read}.",
-        "Correct units, signs and names of {subject} in the file or its map; nothing was changed here."),
+        "Correct the reading of {subject}, as this sentence says, in the file or its map; nothing was changed here."),
     Kind.BEYOND_JOINT_LIMITS: Words(
         "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} against "
         "{lower:.3g} to {upper:.3g} {unit}.",
@@ -248,7 +254,7 @@ WORDS: dict[Kind, Words] = {
         "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
         "Correct the unit of time in the file or its map, or the rate of the sensors."),
     Kind.SENSOR_STUCK: Words(
-        "{subject} is stuck at {value:.4g} {unit} in {share:.0f %} of {log} (rows {rows}){evidence}.",
+        "{subject} is stuck at {value:.4g} {unit} in {count} samples of {log} (rows {rows}){evidence}.",
         "Check this sensor and its wiring, record again, or leave these samples out: --treat stuck=drop."),
     Kind.SENSOR_HELD: Words(
         "{subject}: only one sample in {every} of {log} is a new reading ({rate:.3g} Hz); the others repeat it, as "

@@ -32,7 +32,7 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
             configuration. By default processes of this computer; then a script needs the usual
             ``if __name__ == "__main__"``.
         workers: number of processes, if there is no scheduler.
-        say: is told the cells, see `hydroopt.progress`.
+        say: receives the cells, see `hydroopt.progress`.
 
     Raises:
         ProblemError: the directory holds another study or cannot be written, or another process writes there; the

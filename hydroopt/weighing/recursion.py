@@ -1,4 +1,4 @@
-"""The recursion of the scale: each smoothed sample is taken once, and a state of fixed size holds what all have told.
+"""The recursion of the scale: each smoothed sample is taken once, and a state of fixed size holds what all have shown.
 
 Kept is the triangle of least squares for the scale's own unknowns and the ten numbers of the load (Bierman 1977),
 after whitening by the banded Cholesky factor of errors that are correlated over a few samples. Changes of the mass

@@ -71,6 +71,15 @@ def test_a_reversed_sign_is_named_without_lengths(cat215b: Model, sound: Log) ->
     assert [each.evidence.get("reading") for each in found] == [reading]
 
 
+def test_gaps_are_no_mistake(cat215b: Model, sound: Log) -> None:
+    """Positions jump from one stretch to the next; that is no noise."""
+    kept = np.arange(sound.size) % 70 < 64
+    log = replace(sound, t=sound.t[kept], channels={name: x[kept] for name, x in sound.channels.items()},
+                  sample=sound.sample[kept], segment=np.cumsum(~kept)[kept] // 6)
+    assert len(set(log.segment)) == 12
+    assert examine(cat215b, log) == ()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lengths", [True, False])
 def test_each_mistake_is_named(cat215b: Model, sound: Log, lengths: bool) -> None:

@@ -14,6 +14,7 @@ from hydroopt.checks.sensors import beyond_relief, scattering, stuck_sensors
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.log_check import check_logs
 from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.dynamic.training_logs import contradictions
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.machine.machine_file import load_machine
@@ -51,7 +52,7 @@ def test_a_stuck_pressure_is_named_first(name: str, channel: str, span: tuple[in
     (first,) = found.contradictions
     assert (first.kind, first.subject) == (Kind.SENSOR_STUCK, (channel,))
     assert found.verdict.cause.startswith(f"{channel} is stuck at ")
-    assert first.evidence["share"] == pytest.approx((span[1] - span[0]) / log.size, abs=0.01)
+    assert first.evidence["count"] == pytest.approx(span[1] - span[0], abs=0.01 * log.size)
 
 
 def test_the_answer_names_the_stuck_sensor_first() -> None:
@@ -61,6 +62,15 @@ def test_the_answer_names_the_stuck_sensor_first() -> None:
     assert answer.status == "suspect"
     assert answer.diagnostics[0].subject == ("lift_cylinder.p_head",)
     assert answer.content()["verdict"]["cause"].startswith("lift_cylinder.p_head is stuck at ")
+
+
+def test_samples_that_are_held_out_are_examined_too() -> None:
+    model, log = sound("patu655_lift")
+    head = held(log.channels["lift_cylinder.p_head"], 600, 900)
+    train, held_out = changed(log, "lift_cylinder.p_head", head).split(0.7)
+    problem = identification_problem(model, [replace(train, sha256="1")], validation=[replace(held_out, sha256="1")])
+    (found,) = contradictions(model, (*problem.experiments, *problem.validation))
+    assert (found.kind, found.evidence["count"]) == (Kind.SENSOR_STUCK, 300)
 
 
 @pytest.mark.parametrize("name", tiered(["cat215b", "wheel_loader", "ur10", "forestry_crane"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,27 @@ def test_a_good_log_is_usable_and_the_next_step_is_named(log: Path, tmp_path: Pa
     saved = hydroopt.load(tmp_path / "out")
     assert saved.job == "check of logs"
     assert saved.parameters["lift_cylinder.f_coulomb"].std is not None
+
+
+def test_the_next_command_runs_as_it_is_printed(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log under foreign names, whose dropped samples split it into stretches that are too short alone."""
+    lines = log.read_text().splitlines()
+    lines[0] = ",".join(name.replace(".", "/") for name in lines[0].split(","))
+    kept = [line for k, line in enumerate(lines) if k == 0 or k % 40 > 4]
+    (tmp_path / "my log.csv").write_text("\n".join(kept) + "\n")
+    monkeypatch.chdir(tmp_path)
+    columns = {name.replace("/", ".").split()[0]: name for name in lines[0].split(",")}
+    (tmp_path / "map.toml").write_text("[columns]\n" + "".join(
+        f'"{channel}" = {{ column = "{name}", unit = "{name.split("[")[1][:-1]}" }}\n'
+        for channel, name in columns.items()))
+    options = ("patu655_lift", "my log.csv", "--map", "map.toml", "--treat", "spike=keep")
+    steps = json.loads(run("check", *options, "--json"))["verdict"]["next_steps"]
+    assert "--treat gap=keep" in steps[0]["text"]
+    found = run("check", *options, "--treat", "gap=keep")
+    assert "Not judged here: offsets" in found
+    command = shlex.split(" ".join(found.split()).split("Identify: 'hydroopt ")[1].split(" -o out'")[0])
+    assert command[-8:] == ["--map", "map.toml", "--treat", "spike=keep", "--treat", "gap=keep", "--holdout", "0.3"]
+    assert run(*command, "-o", "out").splitlines()[0].endswith(": ok")
 
 
 def test_as_json(log: Path) -> None:

@@ -172,6 +172,16 @@ def test_pressures_without_a_unit_have_one_in_common(machine, log, tmp_path):
     assert "all pressures without a unit together allow bar alone" in proposal(found, "boom_cylinder.p_rod").reason
 
 
+def test_pressures_that_no_hydraulic_machine_has_are_guesses(machine, log, tmp_path):
+    """Columns in psi whose headers say Pa."""
+    names = {channel: (f"{header.split(' [')[0].split(' /')[0]} [Pa]", unit, 1 / 6894.757) if ".p_" in channel else
+             (header, unit, scale) for channel, (header, unit, scale) in FOREIGN.items()}
+    found = propose_map(foreign(log, tmp_path / "run.csv", names), machine)
+    stated = proposal(found, "swing_motor.p_a")
+    assert stated.sureness == "guess"
+    assert "the highest of all pressures would be" in stated.reason
+
+
 def test_numbered_joints_and_a_time_by_its_step_are_proposed(machine, log, tmp_path):
     names = FOREIGN | {f"{joint}.q": (f"q{number} (deg)", "deg", 180 / np.pi)
                        for number, joint in enumerate(machine.joints, 1)}

@@ -165,7 +165,7 @@ def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Pat
         intervals: whether to sample the posterior. Values are then its means, else its most probable point with the
             intervals of plain least squares.
         seed: of that sampling.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.

@@ -316,7 +316,7 @@ def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log
         level: probability of a false alarm, over all parameters and sessions.
         smoothing: how angles are differentiated.
         seed: of the draws.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.

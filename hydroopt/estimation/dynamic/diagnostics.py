@@ -13,6 +13,7 @@ from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.log import Log
 from hydroopt.parameters.dynamic import owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
@@ -28,6 +29,9 @@ ABOVE_NOISE, WEAK = 1.5, 2.0
 """Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
 there is a diagnostic."""
 
+SEVERAL, SHORT = 5, 5.0
+"""Number of stretches of a log, and their median duration [s], from which on and below which gaps are worth smoothing
+across."""
 NOT_EXACT = 0.01
 """Part of an actuator's force by which the standard deviation of a position may change it."""
 CONFLICT = 1e-3
@@ -83,7 +87,7 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
 
 def uncertain_positions(found: Identification) -> Iterator[Diagnostic]:
     """Joints whose positions are fitted, and known so little that forces depend on it."""
-    model, told = found.problem.model, set[str]()
+    model, named = found.problem.model, set[str]()
     for data in (*found.problem.experiments, *found.problem.validation):
         each = data.plotted
         if each.position_std is None:
@@ -96,8 +100,8 @@ def uncertain_positions(found: Identification) -> Iterator[Diagnostic]:
         part = np.sqrt(np.mean(change**2, axis=0)) / np.where(size > 0, size, np.inf)[:, None]
         for j, joint in enumerate(model.machine.joints):
             k = int(np.argmax(part[:, j]))
-            if part[k, j] > NOT_EXACT and joint not in told:
-                told.add(joint)
+            if part[k, j] > NOT_EXACT and joint not in named:
+                named.add(joint)
                 slides, std = model.machine.position_unit(joint) == "m", float(each.position_std[j])
                 yield Diagnostic(Kind.POSITION_ASSUMED, (joint,), {
                     "log": each.log.path or each.log.name, "actuator": model.machine.balances[k].name,
@@ -122,6 +126,20 @@ def _consistency(found: Identification) -> Iterator[Diagnostic]:
         calibrated_machine(found)
     except ProblemError as error:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {"reason": error.what, "remedy": error.remedy})
+
+
+def short_stretches(found: Identification) -> Iterator[Diagnostic]:
+    """Logs that gaps split into stretches too short to smooth alone."""
+    for data in found.problem.experiments:
+        log = data.log
+        if not isinstance(log, Log) or not any(each.kind == "gap" for each in log.findings):
+            continue
+        begins = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1))
+        median = float(np.median(np.diff(log.t[np.append(begins, log.size - 1)])))
+        if len(begins) > SEVERAL and median < SHORT:
+            longest = float(np.max(np.diff(log.t)[begins[1:] - 1]))
+            yield Diagnostic(Kind.SHORT_STRETCHES, (log.path or log.name,), {
+                "median": median, "longest": longest, "count": len(begins)})
 
 
 def _findings(found: Identification) -> Iterator[Diagnostic]:

@@ -31,7 +31,7 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NextStep, Use
-from hydroopt.results.wording import REFUTATIONS
+from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,7 +73,9 @@ class Estimate(Identification, Answer):
         tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit)
         # a cause of a misfit may move what friction does at reversals
         late = () if self.misfit is None or self.misfit.causes else reversals.diagnose(self)
-        return (*self.of_logs, *tested, *late, *diagnostics.diagnose(self))
+        more = (*tested, *late, *diagnostics.diagnose(self))
+        split = diagnostics.short_stretches(self) if {each.kind for each in more} & CONTRADICTIONS else ()
+        return (*self.of_logs, *split, *more)
 
     @cached_property
     def of_logs(self) -> tuple[Diagnostic, ...]:

@@ -203,8 +203,8 @@ class Experiment:
     def moments(self, psi: Array) -> Array:
         """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
         force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
-        told = np.isfinite(force)
-        return np.array([np.where(told, x, 0.0).sum(axis=0)
+        read = np.isfinite(force)
+        return np.array([np.where(read, x, 0.0).sum(axis=0)
                          for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)])
 
     def blocks(self, origin: int, span: tuple[int, int]) -> Iterator[slice]:
@@ -330,11 +330,11 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
     lags, force = force_lags(model, log), free_forces(model, log, motion.q)
-    told = np.isfinite(force)
-    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & told
+    read = np.isfinite(force)
+    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & read
     made = Experiment(model, log, motion, force, known_in_spite_of(lags, known, motion),
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      phases.calm[:, kept] & ~known & told, position_std)
+                      phases.calm[:, kept] & ~known & read, position_std)
     return made._lagging(lags) if np.any(lags) else made
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.estimation.dynamic import usability
-from hydroopt.estimation.dynamic.diagnostics import uncertain_positions
+from hydroopt.estimation.dynamic.diagnostics import short_stretches, uncertain_positions
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
@@ -34,6 +34,11 @@ from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "weighted least squares"
+NOT_JUDGED = ("Not judged here: offsets of a few degrees, delayed readings, wrong areas and geometry. 'hydroopt "
+              "identify' tests its residuals for them, and states the sizes that it would have found.")
+"""What a check leaves open."""
+OF_EXCITE = ("--map", "--parameter-set", "--bandwidth")
+"""Options of reading a log that `hydroopt excite` takes, too."""
 LITTLE_RANGE = 0.2
 """Part of a joint's range below which its motion tells little: gravity's change of direction stays within noise."""
 
@@ -54,6 +59,7 @@ class LogCheck(Answer):
     Attributes:
         problem: the identification that the logs would enter.
         rough: least squares on base parameters, from which the weights of the residuals are.
+        options: of the command line and their values that the logs were read with, for the commands of next steps.
 
     Example:
         >>> import hydroopt as ho
@@ -68,6 +74,7 @@ class LogCheck(Answer):
 
     problem: IdentificationProblem
     rough: Estimate
+    options: tuple[tuple[str, str], ...] = ()
 
     job = Job.CHECK
 
@@ -144,22 +151,26 @@ class LogCheck(Answer):
         if self.contradictions:
             return ()
         steps: list[NextStep] = []
-        logs = " ".join(shlex.quote(data.log.path or data.log.name) for data in self.problem.experiments)
+        paths = [shlex.quote(data.log.path or data.log.name) for data in self.problem.experiments]
+        logs, logged = " ".join(paths), "".join(f" --log {path}" for path in paths)
         machine = self.problem.model.machine.source
+        read = "".join(f" {option} {shlex.quote(value)}" for option, value in self.options)
+        mapped = "".join(f" {option} {shlex.quote(value)}" for option, value in self.options if option in OF_EXCITE)
         for each in self.diagnostics:
             if each.kind is Kind.FORCE_NOT_MEASURED:
                 steps.append(NextStep(Action.MEASURE, (
                     f"Map or record {each.evidence['channels']}: without, no equation of "
                     f"{', '.join(each.subject)} counts.")))
+        steps += [NextStep(Action.CHECK, str(each)) for each in short_stretches(self.rough)]
         weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
         if weak:
             steps.append(NextStep(Action.DRIVE, (
                 f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
         if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
             steps.append(NextStep(Action.DRIVE, (
-                f"Add the motion that 'hydroopt excite {machine} --log {logs} -o motion' designs.")))
+                f"Add the motion that 'hydroopt excite {machine}{logged}{mapped} -o motion' designs.")))
         steps.append(NextStep(Action.USE, (
-            f"Identify: 'hydroopt identify {machine} {logs} --holdout 0.3 -o out', with the same options.")))
+            f"Identify: 'hydroopt identify {machine} {logs}{read} --holdout 0.3 -o out'.")))
         return tuple(steps)
 
     @cached_property
@@ -206,7 +217,7 @@ class LogCheck(Answer):
         for data in self.problem.experiments:
             log = data.log
             lines.append(f"  {log.path or log.name}: {data.sample_count} of {log.size} samples would take part")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([] if self.contradictions else [f"  {NOT_JUDGED}"])])
 
 
 def check_logs(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog], *,

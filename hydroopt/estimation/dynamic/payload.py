@@ -174,7 +174,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
             default the machine file's ``[faults] gain``, or else 0.
         smoothing: how angles are differentiated.
         seed: of the sampling of intervals.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.

@@ -29,7 +29,7 @@ NONE = 0.5
 USUAL = 0.1
 """Median κ of those that do."""
 GRID = np.append(0.0, np.geomspace(1e-4, 2.0, 60))
-"""Values of κ that are told apart."""
+"""Values of κ that are distinguished."""
 UNEQUAL = 2.0
 """Degrees of freedom of each parameter's own variance: κ² is that of all, and single ones differ from it."""
 

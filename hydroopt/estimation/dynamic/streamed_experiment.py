@@ -329,10 +329,10 @@ def _experiment(model: Model, log: Log, angles: Array, motion: Motion, limits: S
     phases = Phases.of(angles, motion, limits)
     motion = phases.at_rest(motion)
     force = free_forces(model, log, motion.q)
-    told = np.isfinite(force)
-    known = dry_friction_known(model, motion, phases, limits.noise) & told
+    read = np.isfinite(force)
+    known = dry_friction_known(model, motion, phases, limits.noise) & read
     return Experiment(model, log, motion, force, known, remarks, pressures(model, log),
-                      calm=phases.calm[:, model.dynamics.kept] & ~known & told)
+                      calm=phases.calm[:, model.dynamics.kept] & ~known & read)
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

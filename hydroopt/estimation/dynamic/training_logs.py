@@ -9,7 +9,7 @@ from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, refuse_nothing_to_determine
 from hydroopt.estimation.dynamic.lagging_forces import refuse_lags
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.any_log import AnyLog, both_parts
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.dead_channels import without_dead_channels
 from hydroopt.logs.forces_from_pressures import absent_forces
@@ -34,10 +34,12 @@ def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExper
 
 
 def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
-    """What contradicts the machine file in the logs as they are read; of the parts of a split log, in its first."""
+    """What contradicts the machine file in the logs as they are read; both parts of a split log as one."""
     logs: dict[str, AnyLog] = {}
     for data in experiments:
-        logs.setdefault(data.log.sha256 or str(id(data.log)), data.log)
+        name, log = data.log.sha256 or str(id(data.log)), data.log
+        before = logs.get(name)
+        logs[name] = log if before is None else both_parts(before, log)
     return tuple(found for log in logs.values() for found in examine(model, log))
 
 

@@ -302,13 +302,13 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     steps: list[NextStep] = []
     if "validation" not in found.fit:
         steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
-    told = found.fit["train"]
+    trained = found.fit["train"]
     steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
               for each in unmeasured_joints(found.problem.model.machine)]
     balances = {each.name for each in found.problem.model.machine.balances}
-    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*told}]:
+    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*trained}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
-    if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in told]:
+    if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in trained]:
         steps.append(NextStep(Action.CHECK, (
             f"Check the accuracy of the force of {weak[0]}, and try other friction terms: --friction auto.")))
     names, machine = found.problem.parameters.names, found.problem.model.machine.source

@@ -228,7 +228,7 @@ class LayoutBuilder:
         stages = {stage.name: stage for stage in self.machine.stages}
         order = list(dict.fromkeys(str(stage) for stage in self.poses.stage))
         n = len(self.model.joints)
-        told = self._told(stages)
+        determined = self._determined(stages)
         locked_since: dict[str, int] = {}
         drifts: dict[str, list[int]] = {}
         for name in order:
@@ -245,12 +245,12 @@ class LayoutBuilder:
                 if not unread.size or not self._matters(k, unread):
                     self.reading[unread, k] = 0.0
                     continue
-                if not held and np.all(told[unread]):
+                if not held and np.all(determined[unread]):
                     locked_since.pop(joint, None)
                     self.moving[unread, k] = True
                     continue
                 if stage is None or joint not in stage.locked:
-                    row = unread[np.argmin(told[unread])]
+                    row = unread[np.argmin(determined[unread])]
                     if stage is None and stages:
                         raise ProblemError(f"the machine has no stage '{name}', and '{joint}.q' is not read there",
                                            where=self._row(row),
@@ -275,7 +275,7 @@ class LayoutBuilder:
                                       for i, row in enumerate(rows) if not self.sensed[row, k]]
                     drifts[joint].append(drift)
 
-    def _told(self, stages: Mapping[str, Stage]) -> NDArray[np.bool_]:
+    def _determined(self, stages: Mapping[str, Stage]) -> NDArray[np.bool_]:
         """(N,) which poses determine all joints that are neither read nor locked."""
         locked = [[stage is not None and joint in stage.locked for joint in self.model.joints]
                   for stage in map(stages.get, map(str, self.poses.stage))]

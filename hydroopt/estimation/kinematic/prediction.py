@@ -67,7 +67,7 @@ def prediction_test(solution: KinematicSolution, poses: Poses) -> PredictionTest
     information = known.information / noise + known.prior
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    vectors, told = vectors / size[:, None], significant(values, INFORMATION_TOLERANCE)
+    vectors, determined = vectors / size[:, None], significant(values, INFORMATION_TOLERANCE)
     shared = [k for k, name in enumerate(fresh.parameters.names) if name in known.names and not fresh.free[k]]
     order = [known.names.index(fresh.parameters.names[k]) for k in shared]
     free, count = np.flatnonzero(fresh.free), rows.residual.size
@@ -75,10 +75,10 @@ def prediction_test(solution: KinematicSolution, poses: Poses) -> PredictionTest
     fitted = np.column_stack([
         np.vstack([rows.jacobian[:, :, free].reshape(count, len(free)), rows.shared[:, free]])
         * fresh.parameters.scale[free],
-        np.vstack([slope[:, ~told], np.zeros((len(rows.shared), int(np.sum(~told))))])])
+        np.vstack([slope[:, ~determined], np.zeros((len(rows.shared), int(np.sum(~determined))))])])
     left, s, _ = np.linalg.svd(fitted, full_matrices=False)
     left = left[:count, s > 1e-9 * s[0]] if s.size else np.zeros((count, 0))
-    by_geometry = slope[:, told] / np.sqrt(values[told])
+    by_geometry = slope[:, determined] / np.sqrt(values[determined])
     by_geometry -= left @ (left.T @ by_geometry)
     residual = rows.residual.ravel() - left @ (left.T @ rows.residual.ravel())
     variance = noise * (rows.kept.ravel() - np.sum(left**2, axis=1)) + np.sum(by_geometry**2, axis=1)

@@ -26,7 +26,7 @@ COARSE_ANGLE, COARSE_LENGTH = float(np.radians(0.5)), 5e-3
 """Uncertainty of a joint's position [rad, m] that is worth a sentence."""
 CONTRADICTED = 1e-3
 """Probability, over all groups of numbers, below which they contradict what is stated of them."""
-TOLD = 0.5
+DETERMINED = 0.5
 """Part of the stated variance that the data must take away from a combination of numbers to test it."""
 MOST = 4
 """Numbers that a sentence names."""
@@ -101,14 +101,14 @@ def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagno
     for group in dict.fromkeys(names):
         own = np.array([k for k, name in enumerate(names) if name == group])
         values, vectors = np.linalg.eigh(spread[np.ix_(own, own)])
-        told = values > TOLD
-        squares = (vectors[:, told].T @ off[own]) ** 2 / values[told]
-        p = chi_square(int(np.sum(told)), float(np.sum(squares))) if told.any() else 1.0
+        determined = values > DETERMINED
+        squares = (vectors[:, determined].T @ off[own]) ** 2 / values[determined]
+        p = chi_square(int(np.sum(determined)), float(np.sum(squares))) if determined.any() else 1.0
         if len(set(names)) * p < CONTRADICTED:
-            far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], TOLD))
+            far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], DETERMINED))
             most = [k for k in np.argsort(-far, kind="stable")[:MOST].tolist() if far[k] > 2.0]
             yield Diagnostic(Kind.STATED_CONTRADICTED, tuple(common[own[k]].name for k in most), {
-                "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": int(np.sum(told)),
+                "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": int(np.sum(determined)),
                 "p_value": p, "probability": probability(p)})
 
 

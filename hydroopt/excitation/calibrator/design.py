@@ -41,7 +41,7 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
         starts: calibrators of each construction that are sized together with their poses.
         effort: part of the usual number of random calibrators and rounds.
         seed: of all random numbers.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: no calibrator closes within the limits, or none suffices.

@@ -126,10 +126,10 @@ class JointProgram:
         scale, total = ca.DM(self.calibration.parameters.scale[self.free]), ca.diag(ca.DM(self._known))
         for rows, poses, part in zip(self.rows, q, share, strict=True):
             count = poses.shape[1]
-            told = rows.map(count)(ca.repmat(theta, 1, count), poses) * ca.repmat(
+            rows_of_one = rows.map(count)(ca.repmat(theta, 1, count), poses) * ca.repmat(
                 scale, 1, count * rows.size2_out(0))
             each = ca.kron(part, ca.DM.ones(1, rows.size2_out(0)))
-            total = total + self.problem.count * ((told * ca.repmat(each, len(self.free), 1)) @ told.T)
+            total = total + self.problem.count * ((rows_of_one * ca.repmat(each, len(self.free), 1)) @ rows_of_one.T)
         pick = ca.DM(self._pick)
         variance = ca.sum1(pick * ca.solve(total, pick))
         return ca.logsumexp(POWER * ca.log(variance).T) / (2 * POWER)

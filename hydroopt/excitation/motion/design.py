@@ -58,7 +58,7 @@ STILL = 1e-6
 SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 Report = Callable[[int, float | None], None]
-"""Is told a start, and a better value or that its search has ended."""
+"""Receives a start, and a better value or that its search has ended."""
 T = TypeVar("T")
 
 
@@ -121,7 +121,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         seconds: time limit, if any, after which the best motion so far is returned; at least one start is begun.
         processes: how many starts run at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
-        progress: is told how far the search is.
+        progress: receives how far the search is.
 
     Raises:
         ProblemError: no posture at rest, or no motion, satisfies all limits; the limits in conflict are named.
@@ -291,7 +291,7 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
             yield lambda work, things: [work(problem, rest, each, stop, report) for each in things]
         return
     context = get_context("spawn")
-    told, values = context.Event(), context.Queue()
+    cancelled, values = context.Event(), context.Queue()
 
     def run(work: Callable[..., T], things: Sequence[object]) -> list[T]:
         with blocked():
@@ -302,12 +302,12 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
             while not values.empty():
                 report(*values.get())
             if interrupted():
-                told.set()
+                cancelled.set()
         return [task.result() for task in tasks]
 
     try:
         with ProcessPoolExecutor(processes, context, end_with_parent, (
-                pickle.dumps((_Worker.start, (problem, rest, end))), told, values)) as pool:
+                pickle.dumps((_Worker.start, (problem, rest, end))), cancelled, values)) as pool:
             yield run
     except BrokenProcessPool:
         raise SolverError("a process ended without an answer", where="excitation",

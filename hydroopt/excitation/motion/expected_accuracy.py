@@ -114,13 +114,13 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
     alone, both = _LeastSquares(rows[:, basis]), _LeastSquares(np.vstack([rows, prior]))
     measured_by = np.asarray(np.linalg.qr(alone.along(noisy[basis]).T, mode="r")).T
-    told = alone.axes[alone.present] * alone.unit / scale[basis] @ structure.grouping
+    shown = alone.axes[alone.present] * alone.unit / scale[basis] @ structure.grouping
     by_force = alone.along(pulled[:, :, basis].reshape(-1, len(basis)).T)
-    told, by_force = np.linalg.solve(measured_by, told), np.linalg.solve(measured_by, by_force)
+    shown, by_force = np.linalg.solve(measured_by, shown), np.linalg.solve(measured_by, by_force)
     return ExpectedAccuracy(
         scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
-        scale * _LeastSquares(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma, told,
-        by_force.reshape(len(told), *pulled.shape[:2]))
+        scale * _LeastSquares(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma, shown,
+        by_force.reshape(len(shown), *pulled.shape[:2]))
 
 
 class _LeastSquares:

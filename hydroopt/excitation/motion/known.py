@@ -42,5 +42,5 @@ def identified(machine: Model | GivenMachine, source: Log | Sequence[Log] | str 
         known, p = stored_information(model, source), len(model.parameters)
         rows = known.triangles.reshape(-1, p + 1)
         found = gaussian_posterior(IdentificationProblem(model, ()), rows[:, :p], rows[:, p])
-    told = np.linalg.norm(found.slope / model.parameters.scale[:, None], axis=0) < WIDEST / 2
-    return UncertainParameters(found.offset, found.slope[:, told])
+    determined = np.linalg.norm(found.slope / model.parameters.scale[:, None], axis=0) < WIDEST / 2
+    return UncertainParameters(found.offset, found.slope[:, determined])

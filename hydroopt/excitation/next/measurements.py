@@ -119,9 +119,9 @@ def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[
     if model.machine.imus:  # motion is planned by angles alone
         model = Model(model.machine.model_copy(update={"imus": ()}))
     for motion in motions:
-        told = expected_accuracy(model, motion, structure)
+        accuracy = expected_accuracy(model, motion, structure)
         by_g = by_geometry(motion.q, motion.qd, motion.qdd)
-        made.append(np.hstack([np.einsum("ktn,tng->kg", told.by_force, by_g), told.rows]))
+        made.append(np.hstack([np.einsum("ktn,tng->kg", accuracy.by_force, by_g), accuracy.rows]))
     most = max(map(len, made))
     rows = np.tile(np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made]), (REPEATS, 1, 1))
     return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,

@@ -112,9 +112,9 @@ class WhatNext(Answer):
         """All numbers: `prior_std` by what is known so far, `std` to expect after all steps; no values."""
         problem = self.problem
         before, after = (np.sqrt(np.diag(known.covariance)) for known in (self.known[0], self.known[-1]))
-        told = {name: (each.kinds[k], each.units[k], float(each.nominal[k]))
+        stated = {name: (each.kinds[k], each.units[k], float(each.nominal[k]))
                 for each in (problem.of_poses, problem.model.parameters) for k, name in enumerate(each.names)}
-        return ParameterTable([row(name, *told[name][:2], nominal=told[name][2], prior_std=float(before[k]),
+        return ParameterTable([row(name, *stated[name][:2], nominal=stated[name][2], prior_std=float(before[k]),
                                    std=float(after[k])) for k, name in enumerate(self.known[0].names)])
 
     @property
@@ -221,7 +221,7 @@ def plan_next(problem: WhatNextProblem, *, minutes: float = np.inf, least: float
         minutes: that may be spent.
         least: gain per minute, as a part of σ, below which to stop.
         lookahead: whether two measurements are looked at together.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: minutes or the least gain are no such numbers, or the problem's are wrong.

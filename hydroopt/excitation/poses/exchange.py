@@ -47,7 +47,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         problem: how many poses of which groups, by which criterion.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, a parameter in focus is not identifiable, or there are too few

@@ -176,7 +176,7 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
         problem: what may be read, and how well the tip is to be known.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
-        progress: is told the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, or no choice reaches the accuracy.

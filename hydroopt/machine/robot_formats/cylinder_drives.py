@@ -19,7 +19,7 @@ from hydroopt.units import to_si
 _MARGIN = 0.01
 """How far a stroke that is not stated exceeds what the joint's range takes, at each end, as a part of that."""
 _ANY = {"dead_length": "1e-6 m", "stroke": "1e6 m"}
-"""A stroke that no joint exceeds, until the joint's range has told which it takes."""
+"""A stroke that no joint exceeds, until the joint's range shows which it takes."""
 
 
 class Reach(NamedTuple):

@@ -124,7 +124,7 @@ def test_a_session_in_which_a_joint_rests_is_named():
     assert np.all(np.isfinite(found.history(NAME).detectable))
 
 
-def test_changes_that_look_alike_are_not_told_apart():
+def test_changes_that_look_alike_are_not_distinguished():
     pair = "fore_drive.tau_offset", "fore_drive.tau_coulomb"
     same = NAMES.index(pair[0]), NAMES.index(pair[1])
     truth = [moved(PLANAR, fore_drive__tau_coulomb=step) for step in (0, 0, 0, 2.0, 2.0)]

@@ -20,9 +20,9 @@ def test_expected_standard_deviations_are_those_of_a_measured_log() -> None:
     """Of the same motion, driven by a machine whose units sit elsewhere, with noise."""
     machine = arm()
     course, log = simulated(truth(machine, 1), 2)
-    told = expected_calibration(machine, course)
+    determined = expected_calibration(machine, course)
     found = ho.solve(ho.sensor_problem(machine, [log], geometry=False))
-    expected = {name.rpartition(" ")[2]: each.std for name, each in told.parameters.items()}
+    expected = {name.rpartition(" ")[2]: each.std for name, each in determined.parameters.items()}
     measured = {name.rpartition(" ")[2]: each.std for name, each in found.parameters.items()}
     assert expected.keys() == measured.keys()
     ratio = np.array([expected[name] / measured[name] for name in expected])
@@ -37,9 +37,9 @@ def test_the_command_says_which_joint_stays_uncertain(capsys) -> None:
     assert spread["boom"] < np.radians(0.1) > spread["stick"]
     assert spread["bucket"] > np.radians(2.0)
     assert spread["swing"] > np.radians(60.0)
-    told = {each["name"]: each["told"] for each in facts["numbers"]}
-    assert (told["boom_imu.yaw"], told["bucket_imu.yaw"]) == ("yes", "partly")
-    assert told["bias of boom_imu.gyro_x"] == "yes"
+    determined = {each["name"]: each["determined"] for each in facts["numbers"]}
+    assert (determined["boom_imu.yaw"], determined["bucket_imu.yaw"]) == ("yes", "partly")
+    assert determined["bias of boom_imu.gyro_x"] == "yes"
 
 
 def test_mobility_knows_targets_datums_tapes_and_inclination() -> None:

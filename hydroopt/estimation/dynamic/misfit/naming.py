@@ -30,7 +30,7 @@ EVIDENCE = np.log(10.0)
 """Evidence lnB that a fault needs."""
 TIED, ROUGH = 3.0, 0.05
 """Difference in evidence, and as a part of the largest since effects are computed roughly, below which faults are not
-told apart."""
+distinguished."""
 MOST, LARGEST = 2, 10.0
 """Faults that are looked for, one after the other, and the largest size that one may have, as a multiple of its scale:
 beyond, the prior by which its evidence is weighed would itself be refuted."""
@@ -69,7 +69,7 @@ class Cause:
         return {"fault": self.fault.name, "words": self.fault.words, "unit": self.fault.unit,
                 "size": number(self.size * factor), "std": number(self.std * factor),
                 "ci95": [number(limit * factor) for limit in self.ci95], "evidence": number(self.evidence),
-                "repeats": self.repeats, "not_told_apart": [other.name for other in self.tied]}
+                "repeats": self.repeats, "not_separable_from": [other.name for other in self.tied]}
 
 
 @dataclass(frozen=True, eq=False)
