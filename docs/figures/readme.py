@@ -18,8 +18,9 @@ SHORTEN = """() => {
     for (const figure of document.querySelectorAll(".first figure.chart"))
         if (!/^(boom|stick|bucket)_cylinder/.test(figure.textContent.trim())) figure.remove()
     document.querySelector(".first section .note").remove()
+    document.querySelector(".first").style.padding = "14px"
 }"""
-"""Leaves the figures of the cylinders."""
+"""Leaves the figures of the cylinders, with a margin around."""
 
 
 def report() -> str:

@@ -84,7 +84,7 @@ def check(
             refuse_given({"--reserve": reserve, "--estimate": estimate}, "these logs have forces: they are checked for "
                          "an identification", "leave it out, or give motions without forces")
             given = [("--map", map_file), *(("--treat", each) for each in treat or ()), ("--bandwidth", bandwidth),
-                     ("--smoothing", smoothing if smoothing != "spline" else None), ("--parameter-set", parameter_set)]
+                     ("--smoothing", smoothing if smoothing != "spline" else None), ("--set", parameter_set)]
             found = replace(check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described)),
                             options=tuple((option, str(value)) for option, value in given if value is not None))
         say("searching for faults", 0.6)

@@ -241,7 +241,7 @@ WORDS: dict[Kind, Words] = {
     Kind.LOG_MISREAD: Words(
         "Read with {reading}, {log} {agrees} with the machine file: {read_so}. As it is read, it contradicts the "
         "machine file: {as_read}.",
-        "Correct the reading of {subject}, as this sentence says, in the file or its map; nothing was changed here."),
+        "Correct unit, sign or column of {subject} in the file or its map; nothing was changed here."),
     Kind.BEYOND_JOINT_LIMITS: Words(
         "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} against "
         "{lower:.3g} to {upper:.3g} {unit}.",

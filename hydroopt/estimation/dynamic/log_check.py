@@ -37,7 +37,7 @@ METHOD = "weighted least squares"
 NOT_JUDGED = ("Not judged here: offsets of a few degrees, delayed readings, wrong areas and geometry. 'hydroopt "
               "identify' tests its residuals for them, and states the sizes that it would have found.")
 """What a check leaves open."""
-OF_EXCITE = ("--map", "--parameter-set", "--bandwidth")
+OF_EXCITE = ("--map", "--set", "--bandwidth")
 """Options of reading a log that `hydroopt excite` takes, too."""
 LITTLE_RANGE = 0.2
 """Part of a joint's range below which its motion tells little: gravity's change of direction stays within noise."""
