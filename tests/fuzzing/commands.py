@@ -25,7 +25,9 @@ GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--dura
         "control": ["ARM", "--motion", "PATH", "--truth", "TRUTH"],
         "compare": ["ARM", "ANSWER", "ANSWER", "ANSWER"],
         "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"],
-        "weigh": ["ARM", "LOG", "--calibration", "ANSWER", "--full-scale", "90 kg", "--tare", "1 s"]}
+        "weigh": ["ARM", "LOG", "--calibration", "ANSWER", "--full-scale", "90 kg", "--tare", "1 s"],
+        "check": ["ARM", "LOG"], "what-next": ["ARM", "ANSWER", "--force-std", "1 %"],
+        "design-calibrator": ["ARM", "-n", "4", "--links", "3", "--starts", "1", "--effort", "0.02"]}
 """Good arguments by command; words in capitals stand for files."""
 OPTIONS = ("--map", "--treat", "--smoothing", "--bandwidth", "--method", "--loss", "--tolerance", "--ridge", "--seed",
            "--duration", "--rate", "--set", "--friction", "--holdout", "--fix", "--criterion", "--focus", "--rest",

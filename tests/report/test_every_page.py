@@ -84,6 +84,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
                 return [job, "montecarlo", LIFT, "--cells", "4", "--duration", "8"]
             case "measure-up":
                 return [job, SURVEYED, "--tip-std", "10 mm"]
+            case "what-next":
+                return [job, "cat215b", "--tip-std", "25 mm"]
+            case "design-calibrator":
+                return [job, "cat215b", "-n", "12", "--links", "4", "--starts", "1", "--effort", "0.05"]
             case "show hydraulics":
                 return ["show", LIFT, "--hydraulics"]
         return [job, "backhoe"]
@@ -111,7 +115,7 @@ def using() -> Iterator[Any]:
 
 
 JOBS = ("identify", "identify-valves", "identify-payload", "weigh", "compare", "compare several", "plan-poses",
-        "measure-up", "calibrate", "calibrate-sensors", "excite", "operator's sheet", "control", "study", "show",
+        "measure-up", "what-next", "design-calibrator", "calibrate", "calibrate-sensors", "excite", "operator's sheet", "control", "study", "show",
         "show hydraulics", "view")
 
 
