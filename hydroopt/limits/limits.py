@@ -123,10 +123,11 @@ class Limits:
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
-    def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Mean (m,) of expressions that are linear in ψ, and by how much they exceed it at most (m,)."""
+    def _worst(self, value: ca.SX, together: int = 1) -> tuple[ca.SX, ca.SX]:
+        """Mean (m,) of expressions that are linear in ψ, and by how much they exceed it at most (m,), so many of them
+        together."""
         mean, std = self.known.of(value, self._psi)
-        return mean, self.reserves.deviations * std
+        return mean, self.reserves.deviations(together) * std
 
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
              scale: float | None = None, floor: float = -np.inf) -> None:
@@ -282,7 +283,7 @@ class Limits:
         # a motion that keeps both keeps them at any slower pace: what it adds grows with the square of the pace
         stopped = ca.substitute(moving, ca.vertcat(*self.model.coordinates[1:]), ca.DM.zeros(2 * len(machine.joints)))
         for value in (moving, stopped):
-            mean, more = self._worst(value)
+            mean, more = self._worst(value, len(corners))
             for k, reserve in enumerate(reserves):
                 self._add(f"tipping over edge {k + 1}", "N*m", mean[k] - more[k], float(reserve), scale=total)
 

@@ -21,14 +21,14 @@ class Reserves(NamedTuple):
         clearance: distance of links, cylinders and rods from ground and obstacles [m].
         between: distance of the machine's own parts from each other [m].
         certainty: probability with which pressures, valves and tipping keep them, whatever the uncertain parameters
-            are: each limit alone.
+            are: each pressure and valve alone, all edges of the footprint together.
 
     Raises:
         ProblemError: a reserve leaves nothing, or is negative.
 
-    >>> Reserves().flow, round(Reserves().deviations, 3)
-    (0.1, 2.326)
-    >>> Reserves.none().deviations
+    >>> Reserves().flow, round(Reserves().deviations(), 3), round(Reserves().deviations(4), 3)
+    (0.1, 2.326, 2.807)
+    >>> Reserves.none().deviations()
     0.0
     """
 
@@ -67,10 +67,9 @@ class Reserves(NamedTuple):
             found |= {kind: value} if named else dict.fromkeys(("flow", "pressure", "tipping"), value)
         return cls(**found).checked()
 
-    @property
-    def deviations(self) -> float:
-        """Standard deviations that leave this certainty."""
-        return NormalDist().inv_cdf(self.certainty) if self.certainty != 0.5 else 0.0
+    def deviations(self, together: int = 1) -> float:
+        """Standard deviations that leave this certainty, of so many limits together (Bonferroni's inequality)."""
+        return NormalDist().inv_cdf(1 - (1 - self.certainty) / together) if self.certainty != 0.5 else 0.0
 
     def checked(self) -> Reserves:
         """Itself.

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 
 CLEAR = 2.0
@@ -29,9 +33,17 @@ class ComplianceCandidate:
 
 @dataclass(frozen=True)
 class ComplianceChoice:
-    """The sets of compliant joints that were tried, in their order; the last that is `chosen` holds."""
+    """The sets of compliant joints that were tried, in their order; the last that is `chosen` holds.
+
+    Attributes:
+        candidates: the sets.
+        detectable: by how much each joint must give way at most [rad, m] for the poses to tell; infinite where they
+            never do. `units` are those of the joints.
+    """
 
     candidates: tuple[ComplianceCandidate, ...]
+    detectable: Mapping[str, float]
+    units: Mapping[str, str]
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -42,7 +54,8 @@ class ComplianceChoice:
         """The entry ``compliance_choice`` of estimate.json."""
         return {"rule": RULE, "joints": list(self.joints), "candidates": [
             {"joints": list(each.joints), "held_out": number(each.held_out), "difference": number(each.difference),
-             "std": number(each.std), "chosen": each.chosen} for each in self.candidates]}
+             "std": number(each.std), "chosen": each.chosen} for each in self.candidates],
+             "detectable_sag": {joint: number(sag) for joint, sag in self.detectable.items()}}
 
     def __str__(self) -> str:
         names = [", ".join(each.joints) or "none" for each in self.candidates]
@@ -51,4 +64,6 @@ class ComplianceChoice:
         for name, each in zip(names, self.candidates, strict=True):
             change = "" if each is self.candidates[0] else f"{each.difference:+.4f} ± {each.std:.4f}"
             lines.append(f"{'*' if each.chosen else ' '} {name:<{width}}  {each.held_out:>13.4f}  {change}")
-        return "\n".join([*lines, RULE])
+        told = ", ".join(f"{joint} from {readable(sag, self.units[joint])}" if np.isfinite(sag) else f"{joint} never"
+                         for joint, sag in self.detectable.items())
+        return "\n".join([*lines, RULE, f"Deflections that would show in these poses: {told}."])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.calibrate import optimum, solvable
 from hydroopt.estimation.kinematic.compliance_candidates import CLEAR, ComplianceCandidate, ComplianceChoice
-from hydroopt.estimation.kinematic.observability import linearise
+from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import JOINT
@@ -90,7 +90,8 @@ def choose_compliance(machine: Machine, poses: Poses) -> ComplianceChoice:
         if not better:
             break
         chosen, best = (*chosen, joint), tried[joint]
-    return ComplianceChoice(tuple(found))
+    return ComplianceChoice(tuple(found), {joint: detectable_sag(machine, poses, joint) for joint in sigmas},
+                            {joint: machine.channel_units[f"{joint}.q"] for joint in sigmas})
 
 
 def compliant(machine: Machine, poses: Poses, joints: Sequence[str]) -> Machine:
@@ -112,19 +113,50 @@ def _moving(machine: Machine) -> Iterator[Link]:
     yield from (link for link in links if link.joint.moving)
 
 
-def _sigmas(problem: CalibrationProblem) -> Iterator[tuple[str, float]]:
-    """Joints that gravity loads in the poses, and the standard deviations of their compliances."""
-    model, parameters = problem.model, problem.parameters
-    theta = problem.start
+def _loads(problem: CalibrationProblem) -> Iterator[tuple[str, float]]:
+    """Joints that gravity loads in the poses, and their largest torques or forces [N·m, N]."""
+    model, theta = problem.model, problem.start
     q = problem.angles(theta, guess_unsensed(problem, theta))
     torque = np.abs(model.over(model.gravity_torque, theta[: len(model.parameters)], q)[0][:, :, 0])
     for k, joint in enumerate(model.joints):
-        name, largest = f"{joint}.compliance", float(np.max(torque[:, k], initial=0.0))
-        unit = model.machine.channel_units[f"{joint}.q"]
-        if name in parameters.names:
-            yield joint, float(parameters.scale[parameters.index(name)])
-        elif largest > 1e-6 * float(np.max(torque, initial=0.0)) > 0:
-            yield joint, LARGEST_SAG[unit] / largest
+        largest = float(np.max(torque[:, k], initial=0.0))
+        if f"{joint}.compliance" in problem.parameters.names or largest > 1e-6 * float(np.max(torque, initial=0.0)) > 0:
+            yield joint, largest
+
+
+def _sigmas(problem: CalibrationProblem) -> Iterator[tuple[str, float]]:
+    """Joints that gravity loads in the poses, and the standard deviations of their compliances."""
+    parameters = problem.parameters
+    for joint, largest in _loads(problem):
+        name, unit = f"{joint}.compliance", problem.model.machine.channel_units[f"{joint}.q"]
+        yield joint, float(parameters.scale[parameters.index(name)]) if name in parameters.names else (
+            LARGEST_SAG[unit] / largest)
+
+
+def detectable_sag(machine: Machine, poses: Poses, joint: str) -> float:
+    """By how much a joint must give way at most [rad, m] for the poses to tell: two standard deviations of its
+    compliance by the Cramér-Rao bound, without what the file states of it, times the largest torque.
+
+    It is large where the joint is not read while it moves, since its angle then takes up the sag.
+
+    >>> from hydroopt import KinematicModel, load_machine, pose_problem, solve
+    >>> from hydroopt.simulation.pose_table import simulate_poses
+    >>> machine = load_machine("cat215b")
+    >>> plan = solve(pose_problem(machine, 20, priors=True), candidates=40)
+    >>> poses = simulate_poses(KinematicModel(machine), plan.postures, seed=0).poses
+    >>> detectable_sag(machine, poses, "boom") > 5 * detectable_sag(machine, poses, "stick")
+    True
+    """
+    stated = calibration_problem(machine, poses)
+    loads, sigma = dict(_loads(stated)), dict(_sigmas(stated))[joint]
+    problem = solvable(calibration_problem(with_compliance(machine, {joint: sigma}), poses), JOINT)
+    found = optimum(problem, JOINT, problem.start)
+    identified = observability(problem, linearise(problem, found.theta, found.q))
+    name = f"{joint}.compliance"
+    if name not in identified.names:
+        return float("inf")
+    information = identified.std[identified.names.index(name)] ** -2.0 - (sigma**-2.0 if problem.priors else 0.0)
+    return float(CLEAR * loads[joint] / np.sqrt(information)) if information > 0 else float("inf")
 
 
 def _held_out(machine: Machine, poses: Poses, part: NDArray[np.intp]) -> Array:

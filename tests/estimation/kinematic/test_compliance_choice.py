@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -45,6 +46,8 @@ def test_a_soft_joint_is_found(machine: Machine, planned: Poses) -> None:
     assert choice.joints == (SOFT,)
     assert choice.candidates[1].difference < -2 * choice.candidates[1].std
     assert not choice.candidates[-1].chosen
+    assert choice.detectable[SOFT] < np.radians(0.15)
+    assert f"{SOFT} from 0.0" in str(choice)
 
 
 def test_a_stiff_arm_is_left_stiff(machine: Machine, planned: Poses) -> None:
