@@ -41,7 +41,7 @@ def _entry(name: str) -> str:
     if inspect.isclass(value):
         kind = "autoexception" if issubclass(value, Exception) else "autoclass"
         stated = "(**parts)" if issubclass(value, BaseModel) else ""  # one argument a key of the machine file
-        lines = [f".. {kind}:: hydroopt.{name}{stated}", "   :members:"]
+        lines = [f".. {kind}:: hydroopt.{name}{stated}", "   :members:", "   :exclude-members: model_config"]
     else:
         lines = [f".. autofunction:: hydroopt.{name}"]
     return "\n".join(["```{eval-rst}", *lines, "```", ""])

@@ -13,7 +13,8 @@ def pages() -> dict[str, str]:
     """Table of the functions, and the header, by their paths below ``docs/generated``."""
     machine, origin = parameter_source.read(MACHINE)
     code = Code(machine, origin, single=True)
-    rows = [f"| `{code.name}_{each.name}` | `{each.takes}`: {', '.join(each.reads)} | `{each.gives}` | "
-            f"{cell(each.text)} |" for each in code.routines.values()]
-    table = ["| function | reads | writes | what it does |", "|---|---|---|---|", *rows, ""]
+    rows = [f"| `{each.name}` | {cell(each.text)} | `{each.takes}`: {', '.join(each.reads)} → `{each.gives}` |"
+            for each in code.routines.values()]
+    table = [f"Names begin with that of the machine, here `{code.name}_`.", "",
+             "| function | what it does | reads → writes |", "|---|---|---|", *rows, ""]
     return {"c_functions.md": "\n".join(table), f"{code.name}.h": code.header}

@@ -5,7 +5,7 @@ from hydroopt.errors import visible
 
 def cell(text: str) -> str:
     """Text in a cell of a table; code between backticks stays code."""
-    text = " ".join(visible(text).split()).replace("``", "`")
+    text = visible(" ".join(text.split())).replace("``", "`")
     parts = text.split("`")
     for k, part in enumerate(parts):
         if k % 2 == 0:

@@ -40,7 +40,7 @@ def render(design: CalibratorDesign) -> str:
 
 
 def _mm(length: float) -> str:
-    return f"{1e3 * length:.0f}"
+    return f"{1e3 * length:.0f}".replace("-", "−")
 
 
 def _own(name: str, std: float) -> tuple[str, str]:
@@ -72,7 +72,8 @@ def sheet(parts: list[dict[str, Any]]) -> Markup:
     return Markup(
         f'<svg xmlns="http://www.w3.org/2000/svg" class="parts" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
         f'aria-label="{escape(f"Parts of the calibrator. {said}.")}" font-family="sans-serif" font-size="11" '
-        f'fill="{STROKE}" stroke="none" style="width: 100%; max-width: {width:.0f}px">{shapes}</svg>')
+        f'fill="{STROKE}" stroke="none" style="width: 100%; min-width: {min(width, 600):.0f}px; '
+        f'max-width: {width:.0f}px">{shapes}</svg>')
 
 
 def _part(part: dict[str, Any], scale: float, x: float, y: float, *, last: bool) -> str:

@@ -115,8 +115,8 @@ def using() -> Iterator[Any]:
 
 
 JOBS = ("identify", "identify-valves", "identify-payload", "weigh", "compare", "compare several", "plan-poses",
-        "measure-up", "what-next", "design-calibrator", "calibrate", "calibrate-sensors", "excite", "operator's sheet", "control", "study", "show",
-        "show hydraulics", "view")
+        "measure-up", "what-next", "design-calibrator", "calibrate", "calibrate-sensors", "excite", "operator's sheet",
+        "control", "study", "show", "show hydraulics", "view")
 
 
 @pytest.mark.parametrize("job", JOBS)

@@ -134,7 +134,8 @@ class CalibratorDesign(PosePlan):
     def headline(self) -> str:
         """The calibrator in a sentence."""
         worst = max(self.length_deviations, key=lambda name: self.length_deviations[name] / self.length_std[name])
-        return (f"{self.construction.links} links, the ball at {', '.join(f'{each:.2f}' for each in self.ball)} m: "
+        ball = ", ".join(f"{each:.2f}" for each in self.ball).replace("-", "−")
+        return (f"{self.construction.links} links, the ball at {ball} m: "
                 f"{worst} to {readable(self.length_deviations[worst], 'm')}.")
 
     @property

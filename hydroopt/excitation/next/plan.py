@@ -135,7 +135,8 @@ class WhatNext(Answer):
         """The next measurement in a sentence."""
         if not self.steps:
             return f"Measure nothing more: {self.stopped}."
-        return f"Next: {self.described(self.steps[0])}. {self._gain(1)}."
+        gain = self._gain(1)
+        return f"Next: {self.described(self.steps[0])}. {gain[:1].upper()}{gain[1:]}."
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
