@@ -1,4 +1,4 @@
-"""The folder of compiled kernels and templates.
+"""The folder of compiled kernels, simplified functions and templates.
 
 Whoever can write there runs code as this user. The folder is used only if no other user can: it belongs to this user,
 and only this user and root can write to it and to the folders above it, as ssh requires of its keys.
@@ -6,11 +6,12 @@ and only this user and root can write to it and to the folders above it, as ssh 
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import platformdirs
@@ -71,6 +72,26 @@ def read(file: Path) -> bytes:
         if not stat.S_ISREG(state.st_mode) or _foreign(state):
             raise PermissionError(f"others than this user can write to '{file}'")
         return opened.read()
+
+
+def kept(name: str) -> bytes | None:
+    """What `keep` put under a name; None where nothing is there, or not the whole of it."""
+    with suppress(OSError):
+        content = read(folder() / name)
+        if hashlib.sha256(content[32:]).digest() == content[:32]:
+            return content[32:]
+    return None
+
+
+def keep(name: str, content: bytes) -> None:
+    """Keep some content under a name, whole or not at all; nothing where the folder cannot be written."""
+    with suppress(OSError):
+        place = folder()
+        with scratch(place) as made:
+            file = made / name
+            file.write_bytes(hashlib.sha256(content).digest() + content)
+            file.chmod(0o600)  # whatever the umask: nobody else may write it
+            file.replace(place / name)
 
 
 def _refuse_foreign(path: Path) -> None:

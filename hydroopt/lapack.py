@@ -90,6 +90,18 @@ def cholesky_solved(factor: Array, right: Array) -> Array:
     return np.asarray(solved).reshape(right.shape)
 
 
+def banded_forward(factor: Array, right: Array) -> Array:
+    """x (n, k) of L·x = right (n, k), L (w, n) of `banded_cholesky`.
+
+    >>> banded_forward(np.array([[2.0, 2.0], [1.0, 0.0]]), np.array([[4.0], [6.0]])).ravel().tolist()
+    [2.0, 2.0]
+    """
+    solved, info = routines.dtbtrs(factor, np.asarray_chkfinite(right, dtype=float), uplo="L")
+    if info:
+        raise LinAlgError("the factor is singular")
+    return np.asarray(solved)
+
+
 def banded_solved(below: int, above: int, band: Array, right: Array) -> Array:
     """x (n, k) of a matrix with so many diagonals below and above the main one, whose k-th above stands in row
     ``above − k`` of `band`, with its columns.

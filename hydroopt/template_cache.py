@@ -4,7 +4,6 @@ them in."""
 from __future__ import annotations
 
 import hashlib
-from contextlib import suppress
 from pathlib import Path
 
 import jinja2
@@ -29,25 +28,16 @@ class TemplateCache(jinja2.BytecodeCache):
 
     def load_bytecode(self, bucket: Bucket) -> None:
         """Take the template's code where it is there and whole."""
-        with suppress(OSError):
-            content = cache.read(self._place(bucket))
-            digest, code = content[:32], content[32:]
-            if hashlib.sha256(code).digest() == digest:  # damaged bytecode ends the interpreter
-                bucket.bytecode_from_string(code)
+        code = cache.kept(self._name(bucket))  # damaged bytecode would end the interpreter
+        if code is not None:
+            bucket.bytecode_from_string(code)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
         """Keep the template's code."""
-        code = bucket.bytecode_to_string()
-        with suppress(OSError):
-            place = self._place(bucket)
-            with cache.scratch(place.parent) as made:
-                file = made / place.name
-                file.write_bytes(hashlib.sha256(code).digest() + code)
-                file.chmod(0o600)  # whatever the umask: nobody else may write it
-                file.replace(place)
+        cache.keep(self._name(bucket), bucket.bytecode_to_string())
 
-    def _place(self, bucket: Bucket) -> Path:
+    def _name(self, bucket: Bucket) -> str:
         key = hashlib.sha256(self._stated)
         for part in (bucket.key, bucket.checksum):
             key.update(part.encode())
-        return cache.folder() / f"{key.hexdigest()[:32]}.template"
+        return f"{key.hexdigest()[:32]}.template"

@@ -22,7 +22,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 RECIPE = yaml.safe_load((ROOT / "conda/recipe.yaml").read_text("utf-8"))
 DEVELOPMENT = ("dev", "docs")
 ON_CONDA = {"matplotlib": "matplotlib-base"}
-PACKAGES = {"lazy_loader": "lazy-loader", "python_calamine": "python-calamine"}
+PACKAGES = {"lazy_loader": "lazy-loader", "python_calamine": "python-calamine", "tomli_w": "tomli-w"}
 """Distributions whose name is not that of their module."""
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -45,6 +46,7 @@ from hydroopt.units import UnitError, spread_to_si, to_si
 ROBOT_SUFFIXES = (".urdf", ".xml")
 """Endings of robot files."""
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
+_VECTOR = re.compile(r"\[\n((?: +[^\[\]\n]+,\n)+) *\]")
 
 
 def bundled() -> tuple[str, ...]:
@@ -351,10 +353,13 @@ def machine_file_tables(machine: Machine) -> dict[str, Any]:
 
 
 def dump_tables(tables: Mapping[str, Any]) -> str:
-    """Text of a machine file's tables."""
-    import tomlkit  # noqa: PLC0415 (most commands write no machine)
+    """Text of a machine file's tables, vectors on one line each."""
+    import tomli_w  # noqa: PLC0415 (most commands write no machine)
 
-    return tomlkit.dumps(tables)
+    def on_one_line(found: re.Match[str]) -> str:
+        return f"[{', '.join(entry.strip().removesuffix(',') for entry in found[1].splitlines())}]"
+
+    return _VECTOR.sub(on_one_line, tomli_w.dumps(tables))
 
 
 def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:

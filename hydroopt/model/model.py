@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
+from hydroopt.kernels.simplified import simplified
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
@@ -211,9 +211,9 @@ class Model(Drawn):
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
         """Which entries (r, p) of the regressor are structurally nonzero, while a calibrator may be attached."""
-        made = program(self.regressor if self.linear else self.linearised)
-        pattern = np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
-            self.regressor.size_out(0))
+        function = self.regressor if self.linear else self.linearised
+        pattern = np.zeros(self.regressor.size_out(0), dtype=bool)
+        pattern[*map(list, ca.sparsify(function.call(function.sx_in())[0]).sparsity().get_triplet())] = True
         pattern[:, self._free_size:] = True
         return pattern
 
@@ -388,7 +388,7 @@ class Model(Drawn):
 def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
            output_names: list[str]) -> ca.Function:
     """A function with few operations and dense outputs, so that their layout is the same for every machine."""
-    return program(ca.Function(name, inputs, outputs, input_names, output_names)).function()
+    return simplified(ca.Function(name, inputs, outputs, input_names, output_names))
 
 
 def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, ...]:

@@ -2,9 +2,10 @@
 
 import tempfile
 import time
+import tomllib
 
 import numpy as np
-import tomlkit
+import tomli_w
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -66,7 +67,7 @@ def as_command(table: Poses) -> float:
 
 def surveyed_arm() -> Machine:
     """The bundled UR10 with uncertain Denavit-Hartenberg numbers, seen by a tracker that stands anywhere."""
-    machine = tomlkit.parse(dump_machine(load_machine("ur10"))).unwrap()
+    machine = tomllib.loads(dump_machine(load_machine("ur10")))
     for link in machine["links"]:
         for key, sigma in (("theta", "1 deg"), ("d", "5 mm"), ("a", "5 mm"), ("alpha", "1 deg")):
             stated = link["joint"].get(key, "0 deg" if key in ("theta", "alpha") else "0 m")
@@ -80,7 +81,7 @@ def surveyed_arm() -> Machine:
          "distribution": "gaussian"},
         {"channels": [f"tracker.prism.{axis}" for axis in "xyz"], "accuracy": f"{READINGS} m",
          "distribution": "gaussian"}]
-    return read_machine(tomlkit.dumps(machine))
+    return read_machine(tomli_w.dumps(machine))
 
 
 def surveyed_poses(machine: Machine, count: int) -> Poses:

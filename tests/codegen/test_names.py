@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import tomlkit
+import tomli_w
 
 from fixtures.library import run
 from fixtures.tiers import tiered
@@ -26,7 +26,7 @@ def description(*, machine: str = "crane", link: str = "boom", cylinder: str = "
     links = [{"name": link, "joint": {"type": "revolute", "a": {"value": "2.8 m", "sigma": "10 mm"}, "lower": "-5 deg",
                                       "upper": "75 deg"}, "body": BODY}]
     links += [{"name": second, "joint": {"type": "locked"}, "body": BODY}] if second else []
-    return tomlkit.dumps({"name": machine, "gravity": "9.81 m/s^2", "links": links, "cylinders": [
+    return tomli_w.dumps({"name": machine, "gravity": "9.81 m/s^2", "links": links, "cylinders": [
         {"name": cylinder, "bore": "100 mm", "rod_diameter": "56 mm", "dead_length": "0.82 m", "stroke": "0.535 m",
          "barrel": {"link": "base", "pin": ["0.26 m", "-1.03798675 m", "0 m"], "body": BODY},
          "rod": {"link": link, "pin": ["0.303658775 m", "-0.101611538 m", "0 m"], "body": BODY},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from hydroopt.logs.cubic_spline import cubic_spline
+from hydroopt.logs.cubic_spline import CubicSpline
 
 
 @pytest.mark.parametrize("count", [4, 5, 40])
@@ -16,4 +16,4 @@ def test_it_is_that_of_scipy(count: int) -> None:
     values = rng.standard_normal((count, 3, 2))
     times = np.concatenate([t, rng.uniform(t[0] - 0.1, t[-1] + 0.1, 50)])
     theirs = make_interp_spline(t, values, k=3)(times)
-    assert cubic_spline(t, values, times) == pytest.approx(theirs, rel=1e-9, abs=1e-9)
+    assert CubicSpline(t, values)(times) == pytest.approx(theirs, rel=1e-9, abs=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from hydroopt.spatial.inertia import Array
 
 ROUNDING = 1e-6
 """How far beyond a bound or a statement a solver may end, in the scale of the numbers concerned: it works in that."""
+_made: WeakKeyDictionary[Identification, Machine] = WeakKeyDictionary()
+"""Machines of estimates that still live: several checks ask for the same one."""
 
 
 def calibrated_machine(estimate: Identification) -> Machine:
@@ -28,6 +31,8 @@ def calibrated_machine(estimate: Identification) -> Machine:
         ProblemError: a body is not physically consistent, a friction is negative or beyond its bounds, or a statement
             of the file does not hold, so that no machine can have these numbers.
     """
+    if estimate in _made:
+        return _made[estimate]
     problem = estimate.problem
     machine, names = problem.model.machine, problem.parameters.names
     where = f"{machine.name} by {estimate.algorithm}"
@@ -62,10 +67,12 @@ def calibrated_machine(estimate: Identification) -> Machine:
                 update={"lower": before.lower, "upper": before.upper})
     try:
         left_out = dynamic_parameters.bodies(machine).keys() - problem.parameters.bodies.keys()
-        return machine.without_bodies(left_out).with_values(values, notes)
+        made = (machine.without_bodies(left_out) if left_out else machine).with_values(values, notes)
     except MachineError as error:  # limits without bound or constraint, such as seals as wide as the rod side
         raise ProblemError(error.what, where=where,
                            remedy="state a confidence or bounds of it, or identify with method 'sdp'") from None
+    _made[estimate] = made
+    return made
 
 
 def _note(estimate: Identification, span: slice, confidence: Array, source: str) -> Note:

@@ -94,9 +94,7 @@ class ActuatorBands:
             return cosine_transform(block)
         # in one half of the log C_i are columns of K_i, or their opposites
         for some in (block[:k], block[-1:]):
-            turned = cosine_transform(some)
-            if not np.may_share_memory(turned, some):
-                some[:] = turned
+            cosine_transform(some)
         np.multiply(sign[0], block[repeated], out=block[k:-1])
         return block
 

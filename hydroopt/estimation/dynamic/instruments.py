@@ -6,7 +6,7 @@ import numpy as np
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.logs.cubic_spline import cubic_spline
+from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.joint_angles import angle_from_length
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
@@ -39,7 +39,7 @@ def instrument(model: Model, data: Experiment, reference: Log | None) -> Motion:
         angles = np.column_stack([reading(machine, reference, channel) for channel in channels[0]])
         motion = condition(reference.t, angles, reference.segment, smoothing, names=machine.joints, where=where)
         states = [motion.q, motion.qd, motion.qdd]
-    q, qd, qdd = (cubic_spline(reference.t, values, log.t) for values in states)
+    q, qd, qdd = (CubicSpline(reference.t, values)(log.t) for values in states)
     every = np.ones(log.t.size, dtype=bool)
     return Motion(log.t, q, qd, qdd, log.segment, every, data.motion.bandwidth, data.motion.passes,
                   (f"instruments from {where}",))

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -93,7 +94,7 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
     if np.any(silent):  # one without rows has the variance that it is given
         heard = iter(band_variances([one for one, left_out in zip(channels, silent, strict=True) if not left_out],
                                     sigma[~silent], prior, scale, least[~silent]) if not np.all(silent) else ())
-        return tuple(Spectrum(np.full(len(none), std**2), _smooth(none, none)[1], float(1 / std**2)) if left_out
+        return tuple(Spectrum(np.full(len(none), std**2), none, float(1 / std**2)) if left_out
                      else next(heard) for none, std, left_out in zip(counts, sigma, silent, strict=True))
     weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
     freedom, belief = counts.copy(), 1.0
@@ -104,25 +105,25 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
     _, singular, axes = np.linalg.svd(np.linalg.qr(stacked * scale, mode="r"), full_matrices=False)
     known = singular > ROUNDING_TOLERANCE * singular[0]
     base = scale[:, None] * axes[known].T / singular[known]
-    moved = [[rows[:, :-1] @ base[channel.columns] for rows in channel.rows] for channel in channels]
-    products = np.array([[_gram(rows) for rows in blocks] for blocks in moved])
-    sides = np.array([sum(rows.T @ block[:, -1] for rows, block in zip(blocks, channel.rows, strict=True))
-                      for blocks, channel in zip(moved, channels, strict=True)])
+    moved = [rows[:, :-1] @ base[channel.columns] for rows, channel in zip(whole, channels, strict=True)]
+    sides = np.array([rows.T @ block[:, -1] for rows, block in zip(moved, whole, strict=True)])
+    band = [np.repeat(np.arange(counts.shape[1]), [len(rows) for rows in channel.rows]) for channel in channels]
+    products = np.array([[_gram(rows[first:end]).ravel() for first, end in pairwise(
+        np.searchsorted(of, np.arange(counts.shape[1] + 1)).tolist())]
+        for rows, of in zip(moved, band, strict=True)])  # (n, B, k·k): sums of them are products of matrices
     P, PP = prior[0] @ base, _gram(prior[0] @ base)
     for _ in range(ROUNDS):
-        inverse = np.linalg.inv(np.einsum("i,ibjk->jk", weight, products) + belief * PP)
+        inverse = np.linalg.inv((weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP)
         z = inverse @ (weight @ sides + belief * P.T @ prior[1])
-        squares = np.array([[np.sum((rows @ z - block[:, -1]) ** 2)
-                             for rows, block in zip(blocks, channel.rows, strict=True)]
-                            for blocks, channel in zip(moved, channels, strict=True)])
-        leverage = weight[:, None] * np.einsum("ibjk,jk->ib", products, inverse)
-        score = np.einsum("ib,ibjk->jk", weight[:, None] ** 2 * variance, products) + belief * PP
-        taken = np.einsum("ibjk,jk->ib", products, inverse @ score @ inverse)
+        squares = np.array([np.bincount(of, (rows @ z - block[:, -1]) ** 2, counts.shape[1])
+                            for rows, block, of in zip(moved, whole, band, strict=True)])
+        leverage = weight[:, None] * (products @ inverse.ravel())
+        score = (weight[:, None] ** 2 * variance).ravel() @ products.reshape(counts.size, PP.size)
+        taken = products @ (inverse @ (score.reshape(PP.shape) + belief * PP) @ inverse).ravel()
         expected = np.maximum((counts - 2 * leverage) * variance + taken, LEAST * counts * variance)
         ratio = np.where(counts > 0, squares / np.maximum(expected, 1e-300), 1.0)
         left = np.maximum(counts - leverage, LEAST * counts)
-        for i in range(len(channels)):
-            variance[i], freedom[i] = _smooth(variance[i] * ratio[i], left[i])
+        variance, freedom = _smooth(variance * ratio, left)
         variance = np.maximum(variance, least[:, None])
         spared = len(P) - belief * float(np.sum(PP * inverse))
         belief = min(1.0, spared / max(float(np.sum((P @ z - prior[1]) ** 2)), 1e-300)) if spared > 1e-6 else 1.0
@@ -204,24 +205,26 @@ def students(freedom: Array) -> Array:
 
 
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
-    """Most probable variances (B,) of neighbouring bands and their freedom, from estimates with their own freedom."""
-    coupling = _coupling(len(estimate))
-    diagonal = np.arange(len(estimate)) * (len(estimate) + 1)
-    mean = np.sum(freedom * estimate) / np.sum(freedom) if np.sum(freedom) > 0 else 1.0
-    if mean <= 0:
-        return estimate, freedom
-    x = np.zeros(len(estimate))
+    """Most probable variances (n, B) of neighbouring bands and their freedom, from estimates with their own freedom."""
+    coupling = _coupling(estimate.shape[1])
+    diagonal = np.arange(estimate.shape[1])
+    mean = np.sum(freedom * estimate, axis=1, keepdims=True) / np.maximum(
+        np.sum(freedom, axis=1, keepdims=True), 1e-300)
+    x = np.zeros_like(estimate)
+    sound = mean > 0
     for _ in range(30):
-        ratio = estimate / mean * np.exp(-x)
-        slope = freedom / 2 * (1 - ratio) + coupling @ x
-        bent = coupling.copy()
-        bent.ravel()[diagonal] += freedom / 2 * np.maximum(ratio, 0.1) + 1e-9
-        step = np.linalg.solve(bent, -slope)
-        x += np.minimum(np.maximum(step, -1), 1)
-        if np.abs(step).max() < 1e-6:
+        ratio = estimate / np.where(sound, mean, 1.0) * np.exp(-x)
+        slope = freedom / 2 * (1 - ratio) + x @ coupling
+        bent = np.repeat(coupling[None], len(x), axis=0)
+        bent[:, diagonal, diagonal] += freedom / 2 * np.maximum(ratio, 0.1) + 1e-9
+        step = np.linalg.solve(bent, -slope[:, :, None])[:, :, 0]
+        x += np.clip(step, -1, 1)
+        if np.abs(step[sound[:, 0]]).max(initial=0.0) < 1e-6:
             break
-    spread = np.diag(np.linalg.inv(np.diag(freedom / 2 + 1e-9) + coupling))
-    return mean * np.exp(x), 2 / spread
+    bent[:] = coupling
+    bent[:, diagonal, diagonal] += freedom / 2 + 1e-9
+    spread = np.diagonal(np.linalg.inv(bent), axis1=1, axis2=2)
+    return np.where(sound, mean * np.exp(x), estimate), np.where(sound, 2 / spread, freedom)
 
 
 @cache

@@ -117,16 +117,16 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = STRUCT
 def _first_independent(scaled: Array, rank: int, cut: float) -> list[int]:
     """Indices of the columns that are independent of those before them, `rank` many."""
     chosen: list[int] = []
-    directions = np.zeros((scaled.shape[0], 0))
+    found = np.zeros(scaled.shape, order="F")
     distance = np.zeros(scaled.shape[1])
     for k in range(scaled.shape[1]):
         rest = scaled[:, k]
         for _ in range(2):  # projecting twice keeps the directions orthogonal to rounding
-            rest = rest - directions @ (directions.T @ rest)
+            rest = rest - found[:, : len(chosen)] @ (found[:, : len(chosen)].T @ rest)
         distance[k] = np.linalg.norm(rest)
-        if distance[k] > cut:
+        if distance[k] > cut and len(chosen) < len(scaled):
+            found[:, len(chosen)] = rest / distance[k]
             chosen.append(k)
-            directions = np.column_stack([directions, rest / distance[k]])
     if len(chosen) > rank:  # near the tolerance the two counts may differ: those nearest to others before them go
         chosen = sorted(sorted(chosen, key=lambda k: -distance[k])[:rank])
     elif len(chosen) < rank:  # the most distant of those left out complete the basis

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance, Whitened
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.logs.lag import stretches
+from hydroopt.logs.smoothing import Motion
 from hydroopt.spatial.inertia import Array
 
 PARTS = 4
@@ -42,22 +45,47 @@ class Block:
     half: int
 
 
-def blocks_of(views: Sequence[View]) -> list[Block]:
-    """The blocks of all logs."""
+def blocks_of(motion: Motion, view: int, before: int) -> list[Block]:
+    """The blocks of a log's motion, which is that of a view; `before` them there are so many of other logs."""
     made: list[Block] = []
-    for k, view in enumerate(views):
-        motion = view.motion
-        pad = int(REACH / (float(np.min(view.motion.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
-        size = len(motion.t)
-        for a, b in stretches(motion.segment):
-            count = max(1, round(PARTS * (b - a) / size)) if size <= PARTS * LONGEST else max(
-                1, round(MANY * (b - a) / size))
-            cuts = np.linspace(a, b, count + 1).astype(int)
-            for first, last in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
-                end = min(last, first + LONGEST)
-                if end - first >= SHORTEST:
-                    made.append(Block(k, max(a, first - pad), min(b, end + pad), first, end, len(made) % 2))
+    pad = int(REACH / (float(np.min(motion.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
+    size = len(motion.t)
+    for a, b in stretches(motion.segment):
+        count = max(1, round((PARTS if size <= PARTS * LONGEST else MANY) * (b - a) / size))
+        cuts = np.linspace(a, b, count + 1).astype(int)
+        for first, last in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+            end = min(last, first + LONGEST)
+            if end - first >= SHORTEST:
+                made.append(Block(view, max(a, first - pad), min(b, end + pad), first, end, (before + len(made)) % 2))
     return made
+
+
+def looked_at(experiment: Experiment, blocks: Sequence[Block]) -> tuple[Experiment, list[Block]]:
+    """The samples of an experiment that its blocks need, a stretch each, and the blocks there.
+
+    All of it where they leave few samples out. What a view says of a log, such as its noise, rests on the samples of
+    blocks alone then.
+    """
+    if any(one.stop > other.start for one, other in pairwise(blocks)) or not blocks:
+        return experiment, list(blocks)
+    rows = np.concatenate([np.arange(one.start, one.stop) for one in blocks])
+    edges = np.cumsum([0, *(one.stop - one.start for one in blocks)]).tolist()
+    segment, own = np.repeat(np.arange(len(blocks)), np.diff(edges)), np.zeros(len(rows), dtype=bool)
+    moved = []
+    for one, to in zip(blocks, edges[:-1], strict=True):
+        by = to - one.start
+        moved.append(replace(one, start=one.start + by, stop=one.stop + by, first=one.first + by, last=one.last + by))
+        own[one.first + by : one.last + by] = True
+    log, motion = experiment.log, experiment.motion
+    part = replace(log, t=log.t[rows], channels={name: x[rows] for name, x in log.channels.items()},
+                   sample=log.sample[rows], segment=segment)
+    motion = replace(motion, t=motion.t[rows], q=motion.q[rows], qd=motion.qd[rows], qdd=motion.qdd[rows],
+                     segment=segment, interior=motion.interior[rows] & own)
+    force, known = experiment.force[rows], experiment.known[rows]
+    pressure, added, calm = (None if x is None else x[rows]
+                             for x in (experiment.pressure, experiment.added, experiment.calm))
+    return replace(experiment, log=part, motion=motion, force=force, known=known, pressure=pressure, added=added,
+                   calm=calm), moved
 
 
 class Columns:
@@ -82,12 +110,17 @@ class Data:
     """
 
     def __init__(self, problem: IdentificationProblem, psi: Array, chosen: Sequence[tuple[Fault, float]] = ()) -> None:
-        made = [View.of(one.plotted, psi) for one in problem.experiments]
-        self.views = [view for view in made if view.lengths == made[0].lengths]
+        self.views, self.blocks = list[View](), list[Block]()
+        for one in problem.experiments:
+            data, motion = one.plotted, one.plotted.motion
+            part, blocks = looked_at(data, blocks_of(motion, len(self.views), len(self.blocks)))
+            view = View.of(part, psi, (float(motion.t[0]), float(motion.t[-1])))
+            if not self.views or view.lengths == self.views[0].lengths:
+                self.views.append(view)
+                self.blocks += blocks
         self._taken = [view.taken & ~np.any([np.zeros_like(view.taken), *(fault.unsteady(view, size) for fault, size
                                                                          in chosen)], axis=0) for view in self.views]
         self._regressors = [_with(view, chosen) for view in self.views]
-        self.blocks = blocks_of(self.views)
         self._covariances = [self._covariance(block) for block in self.blocks]
         parameters = problem.parameters
         fitted = any(view.experiment.position_std is not None for view in self.views)
@@ -128,8 +161,11 @@ class Data:
     @cached_property
     def nuisances(self) -> Columns:
         """Of all parameters, of the geometry of lengths and of positions that are fitted."""
-        return self.columns([np.concatenate([K, _geometry(view), view.by_position[:, :, : None if self._fitted else 0]],
-                                            axis=2) for view, K in zip(self.views, self._regressors, strict=True)])
+        parts = [(K, _geometry(view), view.by_position[:, :, : None if self._fitted else 0])
+                 for view, K in zip(self.views, self._regressors, strict=True)]
+        return Columns([covariance.whiten(np.concatenate([one[block.start : block.stop] for one in parts[block.view]],
+                                                         axis=2))
+                        for block, covariance in zip(self.blocks, self._covariances, strict=True)])
 
     @cached_property
     def cosines(self) -> tuple[Columns, ...]:
@@ -167,9 +203,8 @@ def _with(view: View, chosen: Sequence[tuple[Fault, float]]) -> Array:
 
 def _course(view: View, over: str) -> Array:
     """Part of the log that has gone by, or position or speed of each reading's joint or actuator (N, c)."""
-    t = view.motion.t
     if over == "time":
-        return np.repeat(((t - t[0]) / (t[-1] - t[0]))[:, None], len(view.names), axis=1)
+        return np.repeat(view.elapsed[:, None], len(view.names), axis=1)
     return view.positions if over == "position" else view.speeds
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.lapack import banded_cholesky, cholesky_solved
+from hydroopt.lapack import banded_cholesky, banded_forward
 from hydroopt.logs.spline import Basis, Grid
 from hydroopt.logs.windowed_rows import WindowedRows
 from hydroopt.spatial.inertia import Array
@@ -25,14 +25,13 @@ SUPPORT = 6
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Columns (rows, c) over their noise, what they say of the motion's errors, and what that leaves of these.
+    """Columns (rows, c) over their noise, and what they say of the motion's errors, in coordinates of unit variance.
 
     `rows` are those of one reading where all others are zero and left out.
     """
 
     columns: Array
     seen: Array
-    solved: Array
     rows: NDArray[np.intp] | None = None
 
     def inner(self, other: Whitened) -> Array:
@@ -42,7 +41,7 @@ class Whitened:
             mine = mine[other.rows]
         elif self.rows is not None and other.rows is None:
             others = others[self.rows]
-        return np.asarray(mine.T @ others - self.seen.T @ other.solved)
+        return np.asarray(mine.T @ others - self.seen.T @ other.seen)
 
 
 class ErrorCovariance:
@@ -74,12 +73,10 @@ class ErrorCovariance:
             rows = np.flatnonzero(np.nonzero(self.taken)[1] == reading)
             scaled = columns[self.taken[:, reading]] / self.size[rows, None]
             own = WindowedRows(self._sensitivity.values[rows], self._sensitivity.first[rows], self._sensitivity.columns)
-            seen = own.gathered(scaled)
-            return Whitened(scaled, seen, cholesky_solved(self._factor, seen), rows)
+            return Whitened(scaled, banded_forward(self._factor, own.gathered(scaled)), rows)
         chosen = columns[self.taken] if columns.ndim == 3 else columns
         scaled = chosen / self.size[:, None]
-        seen = self._sensitivity.gathered(scaled)
-        return Whitened(scaled, seen, cholesky_solved(self._factor, seen))
+        return Whitened(scaled, banded_forward(self._factor, self._sensitivity.gathered(scaled)))
 
     def _rows(self, basis: Basis, by_motion: Array) -> WindowedRows:
         """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""

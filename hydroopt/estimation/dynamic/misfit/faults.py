@@ -151,8 +151,7 @@ class ForcesLate(OfMotion):
 
     def lateness(self, view: View, size: float) -> Array:
         """How late readings (N,) are by the fault alone [s]."""
-        t = view.motion.t
-        return size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size))
+        return size * (view.elapsed if self.drifts else np.ones(view.elapsed.size))
 
     def effect(self, view: View, size: float) -> Array:
         """Readings of that motion beyond those with the faults before."""
@@ -205,7 +204,7 @@ class Tilt(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """What the change of gravity does."""
-        return np.asarray(size * view.gravity(view.psi) @ self._change(view))
+        return np.asarray(size * view.weights @ self._change(view))
 
     def by_parameters(self, view: View, size: float) -> Array:
         """The same for a unit of each parameter."""
@@ -276,11 +275,11 @@ class Added(Fault):
         return _only(size * view.regressor, (self.reading,)) if self.course == "reading" else None
 
     def _course(self, view: View) -> Array:
-        t, true = view.motion.t, view.predicted[:, self.reading]
+        true = view.predicted[:, self.reading]
         if self.course == "constant":
-            return np.ones(t.size)
+            return np.ones(len(true))
         if self.course == "time":
-            return np.asarray((t - t[0]) / (t[-1] - t[0]) - 0.5)
+            return view.elapsed - 0.5
         if self.course == "reading":
             return true
         speed = view.speeds[:, self.reading]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.logs.cubic_spline import cubic_spline
+from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.lag import stretches
@@ -44,19 +44,21 @@ class View:
         experiment: the log and its smoothed motion.
         psi: (p,) parameters about which everything is linear.
         lengths: places in the machine's cylinders of the lengths that are measured beside the angles.
+        span: first and last time [s] of the log, of which the experiment may be a part.
     """
 
     experiment: Experiment
     psi: Array
     lengths: tuple[int, ...]
+    span: tuple[float, float]
 
     @classmethod
-    def of(cls, experiment: Experiment, psi: Array) -> View:
-        """The view of an experiment at ψ."""
+    def of(cls, experiment: Experiment, psi: Array, span: tuple[float, float] | None = None) -> View:
+        """The view of an experiment at ψ, of a log that lasts for `span`, by default for as long as the experiment."""
         machine, channels = experiment.model.machine, experiment.log.channels
         beside = tuple(k for k, c in enumerate(machine.cylinders) if f"{c.name}.length" in channels and all(
             f"{joint}.q" in channels for joint in machine.moved_by(c)))
-        view = cls(experiment, psi, beside)
+        view = cls(experiment, psi, beside, span or (float(experiment.motion.t[0]), float(experiment.motion.t[-1])))
         again = _too_smooth(experiment)
         return replace(view, experiment=replace(experiment, motion=view._followed_closer(again))) if again else view
 
@@ -69,6 +71,12 @@ class View:
     def motion(self) -> Motion:
         """The smoothed motion."""
         return self.experiment.motion
+
+    @cached_property
+    def elapsed(self) -> Array:
+        """Part (N,) of the log that has gone by."""
+        begun, ended = self.span
+        return np.asarray((self.motion.t - begun) / (ended - begun))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -241,16 +249,23 @@ class View:
         t = self.motion.t
         shift = np.broadcast_to(shift if np.ndim(shift) == 2 else np.reshape(shift, (-1, 1)), self.motion.q.shape)
         out = np.stack([self.motion.q, self.motion.qd, self.motion.qdd])
-        state = np.stack([self.motion.q, self.motion.qd, self.motion.qdd], axis=1)
-        for a, b in stretches(self.motion.segment):
-            if b - a < 8 or not np.any(shift[a:b]):
+        for a, b, course in self._courses:
+            if not np.any(shift[a:b]):
                 continue
             same = np.ptp(shift[a:b], axis=1).max() == 0
             for j in range(1 if same else out.shape[2]):
-                chosen = slice(None) if same else slice(j, j + 1)
-                at = np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1])
-                out[:, a:b, chosen] = np.moveaxis(cubic_spline(t[a:b], state[a:b, :, chosen], at), 0, 1)
+                if same or np.any(shift[a:b, j]):
+                    chosen = slice(None) if same else slice(j, j + 1)
+                    at = np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1])
+                    out[:, a:b, chosen] = np.moveaxis(course(at, (slice(None), chosen)), 0, 1)
         return out[0], out[1], out[2]
+
+    @cached_property
+    def _courses(self) -> list[tuple[int, int, CubicSpline]]:
+        """First sample of each stretch, one after its last, and q, qd and qdd (3, n) over time."""
+        state = np.stack([self.motion.q, self.motion.qd, self.motion.qdd], axis=1)
+        return [(a, b, CubicSpline(self.motion.t[a:b], state[a:b])) for a, b in stretches(self.motion.segment)
+                if b - a >= 8]
 
     def smoothed(self, course: Array, joint: int) -> Array:
         """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
@@ -280,6 +295,11 @@ class View:
         for joint in joints:
             state[:, :, joint] = view.smoothed(angles[:, joint], joint)
         return replace(closer, q=state[0], qd=state[1], qdd=state[2])
+
+    @cached_property
+    def weights(self) -> Array:
+        """`gravity` at ψ."""
+        return self.gravity(self.psi)
 
     def gravity(self, psi: Array) -> Array:
         """Forces (N, c, 3) of the bodies' weights per unit [m/s²] of gravity along the axes of the base frame."""
