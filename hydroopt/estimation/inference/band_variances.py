@@ -94,8 +94,8 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
     if np.any(silent):  # one without rows has the variance that it is given
         heard = iter(band_variances([one for one, left_out in zip(channels, silent, strict=True) if not left_out],
                                     sigma[~silent], prior, scale, least[~silent]) if not np.all(silent) else ())
-        return tuple(Spectrum(np.full(len(none), std**2), none, float(1 / std**2)) if left_out
-                     else next(heard) for none, std, left_out in zip(counts, sigma, silent, strict=True))
+        return tuple(Spectrum(np.full(len(none), std**2), none, float(1 / std**2)) if left_out else next(heard)
+                     for none, std, left_out in zip(_smooth(counts, counts)[1], sigma, silent, strict=True))
     weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
     freedom, belief = counts.copy(), 1.0
     # coordinates z in which weighted rows and priors are orthonormal at first, so that products of rows are harmless
@@ -208,8 +208,8 @@ def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
     """Most probable variances (n, B) of neighbouring bands and their freedom, from estimates with their own freedom."""
     coupling = _coupling(estimate.shape[1])
     diagonal = np.arange(estimate.shape[1])
-    mean = np.sum(freedom * estimate, axis=1, keepdims=True) / np.maximum(
-        np.sum(freedom, axis=1, keepdims=True), 1e-300)
+    total = np.sum(freedom, axis=1, keepdims=True)
+    mean = np.where(total > 0, np.sum(freedom * estimate, axis=1, keepdims=True) / np.where(total > 0, total, 1.0), 1.0)
     x = np.zeros_like(estimate)
     sound = mean > 0
     for _ in range(30):

@@ -13,7 +13,7 @@ constraint, and those of the active set alone too small.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import casadi as ca
@@ -27,14 +27,16 @@ from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.truncated import TAIL, Marginal, TruncatedGaussian
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.kernels import ellipses
 from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS = 128, 30, 20
-"""Number of chains; sweeps of a warm-up and of sampling."""
+CHAINS, WARM_UP, SWEEPS, APART = 128, 30, 10, 2
+"""Number of chains; sweeps of a warm-up and after which places are kept; how many sweeps apart these are at least:
+chains remember their places for about eight, and what is made of places takes longer than a sweep."""
 
 DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 8
 """Chains have settled when, over the later half of all sweeps so far, their mean moves by less than this many of its
@@ -51,18 +53,42 @@ class Posterior:
     """Samples (s, p) of the parameters, their mean (p,), and how they were drawn in words.
 
     `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
-    `converged` tells whether the chains reached their stationary distribution.
+    `converged` tells whether the chains reached their stationary distribution. `truncated` is the Gaussian that
+    conditions cut off, with their slack (m, s) at the samples; None where the posterior is another one.
     """
 
     samples: Array
     mean: Array | None
     note: str
     converged: bool = True
+    truncated: tuple[TruncatedGaussian, Array] | None = None
 
     def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
-        values = self.samples if rows is None else self.samples @ rows.T
-        return np.std(values, axis=0), np.quantile(values, [0.025, 0.975], axis=0).T
+        if rows is None:
+            return self._own.std.copy(), self._own.interval.copy()
+        alone = (np.count_nonzero(rows, axis=1) == 1) & (np.max(rows, axis=1, initial=0.0) == 1)
+        at = np.argmax(rows[alone], axis=1)
+        std, interval = np.empty(len(rows)), np.empty((len(rows), 2))
+        std[alone], interval[alone] = self._own.std[at], self._own.interval[at]
+        _, std[~alone], interval[~alone] = self._marginal(rows[~alone])
+        return std, interval
+
+    @cached_property
+    def _own(self) -> Marginal:
+        """Of the parameters."""
+        return self._marginal(np.eye(self.samples.shape[1]))
+
+    @property
+    def means(self) -> Array:
+        """Means (p,) of the parameters one by one, which may miss what binds them together by rounding and chance."""
+        return self._own.mean
+
+    def _marginal(self, rows: Array) -> Marginal:
+        if self.truncated is not None:
+            return self.truncated[0].marginal(self.samples, self.truncated[1], rows)
+        values = self.samples @ rows.T
+        return Marginal(values.mean(axis=0), values.std(axis=0), np.quantile(values, [TAIL, 1 - TAIL], axis=0).T)
 
 
 def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consistent: bool,
@@ -110,19 +136,25 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         settled = _settled(chains.states(earlier[warm_ups]), chains.state)
         if settled:
             break
-    kept = []
+    kept, slack = [], []
     for _ in range(SWEEPS):  # as far apart as it takes these chains to forget their places
-        for _ in range(warm_ups if settled else 1):
+        for _ in range(APART * (warm_ups if settled else 1)):
             chains.sweep(rng)
         kept.append(chains.parameters)
+        slack.append(chains.slack.copy())
     samples = np.concatenate(kept)
-    mean = (samples.mean(axis=0) - gaussian.offset) / scale
-    centre = np.linalg.lstsq(slope, mean[:, None], rcond=None)[0]
-    possible = inequalities.possible(centre[:, 0])
+    gaussian_alone = not inequalities.heavy_tailed and user.inequality is None
+    truncated = (TruncatedGaussian(gaussian, inequalities.slope, inequalities.matrix_count),
+                 np.concatenate(slack, axis=1)) if gaussian_alone else None
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", which did not converge"))
-    return Posterior(samples, samples.mean(axis=0) if possible else None, note, settled)
+    found = Posterior(samples, None, note, settled, truncated)
+    for mean in (found.means, samples.mean(axis=0)):  # the first is more exact, the second within what is convex
+        centre = np.linalg.lstsq(slope, ((mean - gaussian.offset) / scale)[:, None], rcond=None)[0][:, 0]
+        if inequalities.possible(centre):
+            return replace(found, mean=gaussian.offset + gaussian.slope @ centre)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +227,7 @@ class _Inequalities:
         self._distant = np.flatnonzero(self._all_weights)
         self._weights = self._all_weights[self._distant]
         self._spread = np.array([body.spread for body in problem.bodies if body.weight])
-        self._matrices = len(matrices)
+        self.matrix_count = len(matrices)
         # first entries of all matrices, second entries, ..., then the linear ones
         order = np.arange(10 * len(matrices)).reshape(-1, 10).T.ravel()
         p = len(problem.parameters)
@@ -221,7 +253,7 @@ class _Inequalities:
         sweep = ellipses.compiled() if self._user.inequality is None else None
         if sweep is None:
             return None
-        spread = np.ones(self._matrices)
+        spread = np.ones(self.matrix_count)
         spread[self._distant] = self._spread
         return ellipses.Sweeper(sweep, self.slope, *self._ratio, self._all_weights, spread,
                                 elliptical_moves.FREEDOMS if self.heavy_tailed else 0.0)
@@ -232,13 +264,13 @@ class _Inequalities:
 
     def matrices(self, z: Array) -> Matrices:
         """All matrices at z (k,)."""
-        rows = 10 * self._matrices
+        rows = 10 * self.matrix_count
         return Matrices(self.slack(z[:, None])[:rows].reshape(10, -1).T,
-                        self.slope[:rows].reshape(10, self._matrices, len(z)).swapaxes(0, 1), self._all_weights)
+                        self.slope[:rows].reshape(10, self.matrix_count, len(z)).swapaxes(0, 1), self._all_weights)
 
     def single(self, z: Array) -> tuple[Array, Array]:
         """All other inequalities (m,) at z (k,), and their slopes (m, k)."""
-        rows = 10 * self._matrices
+        rows = 10 * self.matrix_count
         value, slope = self._user.slack(z, self.gaussian)
         return np.append(self.slack(z[:, None])[rows:, 0], value), np.vstack([self.slope[rows:], slope])
 
@@ -265,10 +297,10 @@ class _Inequalities:
 
     def truncated(self, slack: Array, state: Callable[[], Array]) -> Array:
         """The part (c,) of `log_density` that inequalities and log-det distances make."""
-        good: Mask = np.all(slack[10 * self._matrices :] >= 0, axis=0)
+        good: Mask = np.all(slack[10 * self.matrix_count :] >= 0, axis=0)
         correction = np.zeros(len(good))
-        if self._matrices:
-            entries = slack[: 10 * self._matrices].reshape(10, self._matrices, -1)
+        if self.matrix_count:
+            entries = slack[: 10 * self.matrix_count].reshape(10, self.matrix_count, -1)
             pivots = _pivots(entries)
             good &= np.all(pivots > 0, axis=(0, 1))
             if self._distant.size:

@@ -208,7 +208,7 @@ def test_slow_chains_have_the_spread_of_ones_that_run_long(monkeypatch: pytest.M
     assert found is not None
     assert found.converged
     monkeypatch.setattr(posterior, "ROUNDS", 30)
-    monkeypatch.setattr(posterior, "SWEEPS", 400)
+    monkeypatch.setattr(posterior, "SWEEPS", 200)
     monkeypatch.setattr(posterior, "MEMORY", -1.0)
     long = identify(problem).posterior
     assert long is not None
