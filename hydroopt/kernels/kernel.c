@@ -1,14 +1,23 @@
 #include <math.h>
+/* Compilers' own functions: the header that names them for all takes as long to read as a small kernel to compile. */
+#ifdef __has_builtin
+#if __has_builtin(__builtin_nontemporal_store)
+#define PAST(at, value) __builtin_nontemporal_store((value), (real *)(at))
+#endif
+#endif
 #if defined(__AVX512F__)
-#include <immintrin.h>
 #define LANES 8
-#define PAST(at, value) _mm512_stream_pd(at, (__m512d)(value))
+#ifndef PAST
+#define PAST(at, value) __builtin_ia32_movntpd512(at, value)
+#endif
 #elif defined(__AVX__)
-#include <immintrin.h>
 #define LANES 4
-#define PAST(at, value) _mm256_stream_pd(at, (__m256d)(value))
+#ifndef PAST
+#define PAST(at, value) __builtin_ia32_movntpd256(at, value)
+#endif
 #else
 #define LANES 2
+#undef PAST
 #define PAST(at, value) HERE(at, value)
 #endif
 #define HERE(at, value) (*(slot *)(at) = (value))
@@ -112,6 +121,6 @@ void over(long n, const double *const *in, const long *stride, double *const *ou
     if (whole) blank(zero{{ loop.index0 }}, out[{{ loop.index0 }}], step[{{ loop.index0 }}], n, past_caches);
 {% endfor %}
 #ifdef __AVX__
-    if (past_caches) _mm_sfence();
+    if (past_caches) __builtin_ia32_sfence();
 #endif
 }

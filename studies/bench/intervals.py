@@ -14,7 +14,7 @@ from hydroopt.kernels import ellipses
 from hydroopt.model.model import model_of
 
 MACHINES = ("cat215b", "wheel_loader")
-SWEEPS = 2000
+SWEEPS = 1000
 """Of a long run: a hundred times as many as identification makes."""
 RUNS = 8
 """Long runs, each with random numbers of its own, that are averaged."""
@@ -23,7 +23,8 @@ ROUNDING = 1e-12
 
 
 def intervals() -> None:
-    """Intervals of one log with the same random numbers by NumPy and after other rounding, and by many draws."""
+    """Intervals of one log with the same random numbers by NumPy and after other rounding, by many draws, and their
+    scatter."""
     print(f"{'machine':>14} {'':>38} {'std, worst':>12} {'95 % width, worst':>18} {'mean':>8}")
     for name in MACHINES:
         model = model_of(name, "intervals")
@@ -35,13 +36,17 @@ def intervals() -> None:
             _show(name, "NumPy, same numbers", _mean(problem, [1]), usual)
         with patch.object(posterior, "sample", _rounded(posterior.sample)):
             _show(name, "other rounding, same numbers", _mean(problem, [1]), usual)
+        widths = np.array([_mean(problem, [seed])[1] for seed in range(1, 1 + RUNS)])
+        scatter = widths.std(axis=0, ddof=1) / widths.mean(axis=0)
+        print(f"{name:>14} scatter of widths over {RUNS} usual runs: median {100 * np.median(scatter):.1f} %, "
+              f"most {100 * np.max(scatter):.1f} %")
         with patch.object(posterior, "SWEEPS", SWEEPS):
             long = _mean(problem, range(2, 2 + RUNS))
             with patch.object(posterior, "sample", _rounded(posterior.sample)):
                 other = _mean(problem, range(102, 102 + RUNS))
-        _show(name, "20 sweeps against many", usual, long)
+        _show(name, "as usual against many", usual, long)
         _show(name, "many draws, other rounding and numbers", other, long)
-    print("target: 1 % by many draws; what more 20 sweeps are off by is the noise of their draws")
+    print("target: 1 % by many draws; what usual ones are off by more is the noise of their draws")
 
 
 def _mean(problem: IdentificationProblem, seeds: Sequence[int]) -> np.ndarray:
