@@ -9,9 +9,11 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.misfit import blocks
 from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance
 from hydroopt.estimation.dynamic.misfit.freed import UNCERTAIN, WIDE, chosen_faults
+from hydroopt.estimation.dynamic.misfit.listed_faults import listed
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import identification_problem
@@ -73,6 +75,28 @@ def test_a_sound_log_raises_no_alarm(crane: Model, sound: Log) -> None:
     assert not estimate.misfit.found
     assert estimate.status == "ok"
     assert Kind.DETECTABLE_FAULTS in {each.kind for each in estimate.findings}
+
+
+def test_samples_of_a_long_logs_blocks_tell_faults_as_all_samples_do(
+        crane: Model, sound: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sensitivities in the blocks, of which drifts reach over the whole log, and the probabilities of the fit."""
+    monkeypatch.setattr(blocks, "LONGEST", 60)
+    monkeypatch.setattr(blocks, "MANY", 3)
+    problem, psi = identification_problem(crane, [sound]), crane.parameters.nominal
+    part = Data(problem, psi)
+    monkeypatch.setattr(blocks, "looked_at", lambda experiment, some: (experiment, some))
+    whole = Data(problem, psi)
+    (few,), (every,) = part.views, whole.views
+    assert few.motion.t.size < 0.9 * every.motion.t.size
+    assert len(part.blocks) == len(whole.blocks) == blocks.MANY
+    for fault in listed(every):
+        sought, found = (np.concatenate([fault.sensitivity(view)[one.first : one.last] for one in data.blocks])
+                         for view, data in ((every, whole), (few, part)))
+        used = np.concatenate([every.taken[one.first : one.last] for one in whole.blocks])
+        assert np.sqrt(np.mean((found - sought)[used] ** 2)) <= 0.05 * np.sqrt(np.mean(sought[used] ** 2)), fault.name
+    for one, other in zip(part.blocks, whole.blocks, strict=True):
+        np.testing.assert_array_equal(few.motion.t[one.first : one.last], every.motion.t[other.first : other.last])
+    assert few.noise == pytest.approx(every.noise, rel=0.2)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("kr300", 1), ("kr300", 3), ("panda_mukca", 0)])
