@@ -89,7 +89,8 @@ def test_samples_of_a_long_logs_blocks_tell_faults_as_all_samples_do(
     (few,), (every,) = part.views, whole.views
     assert few.motion.t.size < 0.9 * every.motion.t.size
     assert len(part.blocks) == len(whole.blocks) == blocks.MANY
-    for fault in listed(every):
+    # sizes of friction are those at the RMS speed of what is looked at
+    for fault in (one for one in listed(every) if one.group != "friction"):
         sought, found = (np.concatenate([fault.sensitivity(view)[one.first : one.last] for one in data.blocks])
                          for view, data in ((every, whole), (few, part)))
         used = np.concatenate([every.taken[one.first : one.last] for one in whole.blocks])
