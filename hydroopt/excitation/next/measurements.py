@@ -44,7 +44,7 @@ class Measurement:
         minutes: of each part.
         rows: (K, u, w) what each of K parts tells of w of all numbers, with errors independent and of variance 1.
         own: which numbers these are.
-        q: (K, n) postures [rad, m] of the parts; (K, 0) where they have none.
+        q: (K, n) postures [rad, m] of the parts, NaN for joints that are not there; (K, 0) where they have none.
         labels: what these postures belong to.
         motions: of the parts, where these are motions.
         geometry_exact: whether they are identified with the geometry known so far.

@@ -185,13 +185,15 @@ class WhatNext(Answer):
         return files
 
     def _posture_rows(self, step: Step) -> list[dict[str, Any]]:
-        """Rows of a step's postures: what they belong to, and joint positions, as tables of poses have them."""
+        """Rows of a step's postures: what they belong to, and joint positions, as tables of poses have them; none of a
+        calibrator that is not attached."""
         measurement, machine = step.measurement, self.problem.machine
         assert measurement.labels is not None
         columns = [(f"{joint}.q", machine.channel_units[f"{joint}.q"]) for joint in self.problem.chain.joints]
         return [{"stage": measurement.labels.stage[k], "fixture": measurement.labels.fixture[k], "pose": str(at + 1),
                  **{f"{name} [{unit}]": value for (name, unit), value in
-                    zip(columns, measurement.q[k].tolist(), strict=True)}} for at, k in enumerate(step.parts)]
+                    zip(columns, measurement.q[k].tolist(), strict=True) if np.isfinite(value)}}
+                for at, k in enumerate(step.parts)]
 
     def sheet(self) -> str:
         """What to do, step by step, as plain text."""
@@ -204,7 +206,7 @@ class WhatNext(Answer):
                     places = ", ".join(
                         f"{joint} {1e3 * value:.0f} mm" if self.problem.machine.channel_units[f"{joint}.q"] == "m" else
                         f"{joint} {np.degrees(value):.1f} deg" for joint, value in
-                        zip(joints, step.measurement.q[part].tolist(), strict=True))
+                        zip(joints, step.measurement.q[part].tolist(), strict=True) if np.isfinite(value))
                     text.append(f"   posture {at + 1}: {places}")
         if self.alternatives:
             text += ["", "What each kind of measurement would gain now, per minute:"]

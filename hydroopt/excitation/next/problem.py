@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Never
@@ -108,6 +108,8 @@ class WhatNextProblem(Shown):
         found = list[Measurement]()
         if self.postures is not None:
             found += pose_measurements(*self.postures, {each.name: each for each in self.additions})
+            if self.additions and np.all(self.postures[2].fixture != ""):
+                found += self._without_calibrator()
         if len(self.model.parameters) and any(name != "tip" for name in self.targets):
             found.append(motion_measurement(self.model, self._by_geometry, self.motions))
             found += weighed_links(self.model, self.knowledge.geometry)
@@ -191,6 +193,26 @@ class WhatNextProblem(Shown):
         q = np.concatenate([candidate_postures(poses, group, self.candidates, rng) for group in poses.groups])
         labels, read = poses.labels(self.candidates), readings(poses.model, channels)
         return PostureReadings(poses, read, q, labels), read, labels
+
+    def _without_calibrator(self) -> Iterator[Measurement]:
+        """What is added to a machine whose calibrator sits in a fixture in all poses that it states."""
+        own, joints = self.equipped.calibrator, self.chain.joints
+        poses = pose_problem(self.equipped.model_copy(update={
+            "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
+            "distances": tuple(each for each in self.equipped.distances if each.measured)}), 1, priors=True)
+        rng, added = np.random.default_rng(self.seed), {each.name: each for each in self.additions}
+        q, labels = candidate_postures(poses, poses.groups[0], self.candidates, rng), poses.labels(self.candidates)
+        read = readings(poses.model, poses.channels)
+        there = PostureReadings(poses, read, q, labels)
+        numbers = [self._geometry_names.index(name) for name in there.names]
+        places = [joints.index(joint) for joint in poses.model.joints]
+        for each in pose_measurements(there, read, labels, added):
+            if each.name in added:
+                rows = np.zeros((*each.rows.shape[:2], len(self._geometry_names)))
+                rows[:, :, numbers] = each.rows
+                whole = np.full((len(each.q), len(joints)), np.nan)
+                whole[:, places] = each.q
+                yield replace(each, rows=rows, own=slice(0, rows.shape[2]), q=whole)
 
     @cached_property
     def additions(self) -> tuple[Addition, ...]:

@@ -262,3 +262,15 @@ def test_an_addition_comes_with_what_the_machine_file_needs() -> None:
     plan = plan_next(replace(problem, without=(*problem.without, *only)), minutes=6.0)
     assert plan.steps[0].measurement.file in plan.files()["addition.toml"]
     assert "addition.toml" in plan.next_steps[0].text
+
+
+def test_a_machine_whose_poses_all_hold_the_calibrator_is_taped_without_it() -> None:
+    problem = replace(ho.what_next_problem("cat215b", targets={"tip": 0.01}), candidates=8)
+    taped, known = reading(problem, "pins_boom"), problem.knowledge
+    after = State(known, {}).after(taped, 0).knowledge
+    k = known.names.index("boom.a")
+    assert after.covariance[k, k] == pytest.approx(1 / (1 / known.covariance[k, k] + 1 / 0.003**2), rel=0.01)
+    only = [each.name for each in problem.measurements if each.name != "inclination_boom"]
+    plan = plan_next(replace(problem, without=tuple(only)), minutes=20.0, least=0.0)
+    assert plan.files()["postures.csv"].startswith("stage,fixture,pose,swing.q [rad],boom.q [rad],stick.q [rad]\n")
+    assert "nan" not in plan.sheet()
