@@ -1,17 +1,18 @@
 """Run studies, hold their results against their expected.json, and write one table of them all.
 
 A quantity with an ``expected_failure`` is checked like the others, but that it falls short, for this reason, fails
-nothing.
+nothing. STUDY/PART runs a part of a study whose ``run`` takes names of parts; only what it returns is then checked.
 """
 
 import argparse
+import inspect
 import json
 import operator
 import runpy
 import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,11 +47,11 @@ def checked(value: object, limits: dict) -> tuple[str, str]:
     return text, f"expected failure: {limits['expected_failure']}" if "expected_failure" in limits else FAILS
 
 
-def rows(folder: Path) -> Iterator[Row]:
-    """Run one study: its quantities with bounds first, then those without."""
+def rows(folder: Path, parts: Sequence[str] = ()) -> Iterator[Row]:
+    """Run one study, or some parts of it: its quantities with bounds first, then those without."""
     began = time.perf_counter()
     try:
-        results = runpy.run_path(str(folder / "run.py"))["run"]()
+        results = _run(folder)(*parts)
     except Exception as error:  # a study that breaks does not keep the others from running
         traceback.print_exc()
         yield Row(folder.name, "all", None, "", f"{FAILS}: {type(error).__name__}", time.perf_counter() - began)
@@ -61,9 +62,20 @@ def rows(folder: Path) -> Iterator[Row]:
         return
     expected = json.loads((folder / "expected.json").read_text("utf-8"))
     for name, limits in expected.items():
-        yield Row(folder.name, name, results.get(name), *checked(results.get(name), limits), seconds)
+        if name in results or not parts:
+            yield Row(folder.name, name, results.get(name), *checked(results.get(name), limits), seconds)
     for name in sorted(results.keys() - expected.keys()):
         yield Row(folder.name, name, results[name], "", "", seconds)
+
+
+def _run(folder: Path) -> Callable[..., dict | None]:
+    run: Callable[..., dict | None] = runpy.run_path(str(folder / "run.py"))["run"]
+    return run
+
+
+def _has_parts(folder: Path) -> bool:
+    kinds = [each.kind for each in inspect.signature(_run(folder)).parameters.values()]
+    return inspect.Parameter.VAR_POSITIONAL in kinds
 
 
 def markdown(found: list[Row]) -> str:
@@ -80,16 +92,22 @@ def main() -> int:
     """Exit code: the number of studies that failed."""
     parser = argparse.ArgumentParser(prog="python -m studies", description=__doc__.partition("\n")[0])
     there = [path.parent.name for path in sorted(HERE.glob("*/run.py"))]
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"studies to run, all by default: {', '.join(there)}")
+    parser.add_argument("names", nargs="*", metavar="STUDY[/PART]",
+                        help=f"studies to run, all by default: {', '.join(there)}")
     parser.add_argument("--quick", action="store_true", help=f"run only {', '.join(QUICK)}")
     options = parser.parse_args()
-    if unknown := set(options.names) - set(there):
+    chosen: dict[str, list[str]] = {}
+    for name, _, part in (each.partition("/") for each in options.names or (QUICK if options.quick else there)):
+        chosen.setdefault(name, []).extend([part] if part else [])
+    if unknown := set(chosen) - set(there):
         parser.error(f"there is no study {', '.join(sorted(unknown))}")
+    for name in (name for name, parts in chosen.items() if parts and not _has_parts(HERE / name)):
+        parser.error(f"the study {name} has no parts")
     found: list[Row] = []
     OUT.mkdir(parents=True, exist_ok=True)
-    for name in options.names or (QUICK if options.quick else there):
+    for name, parts in chosen.items():
         print(f"== {name}", flush=True)
-        found += rows(HERE / name)
+        found += rows(HERE / name, parts)
         (OUT / "table.md").write_text(markdown(found), "utf-8")  # so that an interrupted run leaves what it found
     print(f"\n{markdown(found)}\n{OUT / 'table.md'}")
     return len({row.study for row in found if row.verdict.startswith(FAILS)})

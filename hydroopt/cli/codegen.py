@@ -55,3 +55,5 @@ def codegen(
         echo(f"{output}: {len(files)} files. Build and test them: make -C {shlex.quote(str(output))} check")
     for reason, names in code.missing.items():
         echo(f"missing: {', '.join(names)}, since {reason}", err=quiet)
+    if code.untested:
+        echo(f"! {code.untested}", err=True)

@@ -143,6 +143,18 @@ class Code:
         return {name: self._statements(routine) for name, routine in self.routines.items()}
 
     @cached_property
+    def test(self) -> self_test.Vectors:
+        """States of the self-test, and what the model computes of them."""
+        return self_test.vectors(self.interface, self.function, self.keys, single=self.single)
+
+    @property
+    def untested(self) -> str:
+        """What the self-test leaves out, and why, in a sentence; "" if it tests all routines."""
+        names = " and ".join(self.test.untested)
+        return names and (f"the self-test leaves out {names}, since none of {self_test.TRIES} tries found states that "
+                          "determine every result clearly")
+
+    @cached_property
     def digest(self) -> str:
         """What callers, parameters and sources must have in common: 8 hexadecimal digits of all members and statements.
 
@@ -196,8 +208,7 @@ class Code:
         files |= {file: self._render(template, scale_digest=f"0x{self.scale_digest}UL")
                   for file, template in self.scale_files.items()}
         progress("measuring stack, flash and instructions" if self.measured else "computing the self-test", 0.6)
-        files[f"{self.name}_selftest.c"] = self._render("selftest.c", **self_test.vectors(
-            self.interface, self.function, self.keys, single=self.single))
+        files[f"{self.name}_selftest.c"] = self._render("selftest.c", states=self_test.STATES, test=self.test)
         needs = sizes(files | self.bench, single=self.single) if self.measured else []
         sources = sorted((*parts, *(name for name in self.host_files if name == VALUES.format(p=self.name)),
                           *(name for name in self.scale_files if name.endswith(".c"))))

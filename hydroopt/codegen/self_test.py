@@ -6,6 +6,7 @@ The program that compares them is ``templates/selftest.c``.
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -33,9 +34,19 @@ BENT = 0.05
 """How far from stretched an arm must be, so that rounding does not decide its angles."""
 
 
+class Vectors(NamedTuple):
+    """States of the self-test: inputs (`STATES`, size), results (`STATES`, rows, columns) by routine and member, and
+    parameters (size,); and the routines that are left out, since no try found states that determine their results."""
+
+    inputs: dict[str, Array]
+    outputs: dict[tuple[str, str], Array]
+    params: dict[str, Array]
+    untested: tuple[str, ...] = ()
+
+
 def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, str]], *,
-            single: bool = False) -> dict[str, object]:
-    """What the template of the self-test needs: inputs, expected outputs and parameters.
+            single: bool = False) -> Vectors:
+    """States in which the results of all routines are determined, or of as many as possible.
 
     Args:
         interface: what the routines read.
@@ -43,25 +54,33 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
         keys: those pairs.
         single: whether the code computes in single precision.
     """
+    best: Vectors | None = None
     for seed in range(TRIES):
         inputs = states(interface, seed=seed, single=single, share=4 / (4 + seed))
         outputs = dict(zip(keys, results(function, inputs), strict=True))
-        if _usable(interface, outputs):
+        untested = _undetermined(interface, outputs)
+        if best is None or len(untested) < len(best.untested):
+            best = Vectors(inputs, outputs, {name: inputs[name] for name in inputs if name in interface.values},
+                           untested)
+        if not untested:
             break
-    routines = {name for name, _ in keys}
-    read = {name for routine in routines for name in interface.routines[routine].reads}
-    return {"inputs": {name: array for name, array in inputs.items() if name in read}, "outputs": outputs,
-            "states": STATES, "params": {name: inputs[name] for name in inputs if name in interface.values}}
+    assert best is not None
+    tested = {name for name, _ in keys} - {*best.untested}
+    read = {name for routine in tested for name in interface.routines[routine].reads}
+    return best._replace(inputs={name: array for name, array in best.inputs.items() if name in read},
+                         outputs={key: array for key, array in best.outputs.items() if key[0] in tested})
 
 
-def _usable(interface: Interface, outputs: dict[tuple[str, str], Array]) -> bool:
-    """Whether all results are numbers, and all checks hold, that of the wrench at the tip clearly."""
-    if not all(np.all(np.isfinite(array)) for array in outputs.values()):
-        return False
-    guards = ((routine, guard, values[:, k, 0]) for (routine, key), values in outputs.items() if key == ":guards"
-              for k, guard in enumerate(interface.routines[routine].guards))
-    return all(_holds(guard._replace(limit=CLEAR) if (routine, guard.status) == ("tip_wrench", "SINGULAR") else guard,
-                      values) for routine, guard, values in guards)
+def _undetermined(interface: Interface, outputs: dict[tuple[str, str], Array]) -> tuple[str, ...]:
+    """Routines of which a result is no number or a check does not hold, that of the wrench at the tip clearly."""
+    found = {}
+    for (routine, key), values in outputs.items():
+        guards = enumerate(interface.routines[routine].guards) if key == ":guards" else ()
+        if not np.all(np.isfinite(values)) or not all(
+                _holds(guard._replace(limit=CLEAR) if (routine, guard.status) == ("tip_wrench", "SINGULAR") else guard,
+                       values[:, k, 0]) for k, guard in guards):
+            found[routine] = True
+    return tuple(found)
 
 
 def _holds(guard: Guard, values: Array) -> bool:

@@ -1,22 +1,29 @@
-"""Every job on every bundled machine through the command line, in an empty directory, unattended."""
+"""Every job on every bundled machine through the command line, in an empty directory, unattended.
 
+What a machine's jobs gave is kept with a digest of the code and the machine, and not run again as long as both stay: an
+interrupted run goes on with the machines that are left.
+"""
+
+import hashlib
 import json
 import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
-from hydroopt.machine.machine_file import bundled
-from studies.chains.jobs import Outcome, chain, outcomes
+from hydroopt.machine.machine_file import bundled, dump_machine, load_machine
+from studies.chains.jobs import ROOT, Outcome, chain, outcomes
 from studies.show import OUT, table
 
 QUICK = ("patu655_lift", "scissor_lift", "ur10")
 """Machines of the quick variant: one with valves, one with loops, one with electric drives."""
 
 
-def run() -> dict:
-    return chains(bundled())
+def run(*machines: str) -> dict:
+    """All bundled machines, or those named."""
+    return chains(machines or bundled())
 
 
 def quick() -> dict:
@@ -41,13 +48,29 @@ def summary(ended: Sequence[Outcome]) -> str:
 
 
 def _ended(machine: str, seed: int) -> list[Outcome]:
-    """The outcomes of a machine's chain; written at once, so that an interrupted run leaves what it found."""
-    with tempfile.TemporaryDirectory() as folder:
-        ended = outcomes(chain(machine, seed), Path(folder))
+    """The outcomes of a machine's chain: kept ones of the same code, else run and kept at once."""
+    kept = OUT / "chains" / f"{machine}-{seed}.json"
+    before = json.loads(kept.read_text("utf-8")) if kept.is_file() else {}
+    if before.get("digest") == (digest := _digest(machine)):
+        ended = [Outcome(**each) for each in before["jobs"]]
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            ended = outcomes(chain(machine, seed), Path(folder))
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps({"digest": digest, "jobs": [asdict(each) for each in ended]}, indent=1), "utf-8")
     table(machine, ("job", "exit code", "verdict", "CPU seconds", "why"),
           [(each.job, each.exit_code, each.word, each.seconds, each.sentence) for each in ended])
-    kept = OUT / "chains"
-    kept.mkdir(parents=True, exist_ok=True)
-    (kept / f"{machine}-{seed}.json").write_text(json.dumps([asdict(each) for each in ended], indent=1), "utf-8")
     sys.stdout.flush()
     return ended
+
+
+def _digest(machine: str) -> str:
+    """Of all that decides what the jobs give: the machine, and the code."""
+    return hashlib.sha256(_code() + dump_machine(load_machine(machine)).encode()).hexdigest()
+
+
+@cache
+def _code() -> bytes:
+    files = (path for folder in ("hydroopt", "studies/chains") for path in sorted((ROOT / folder).rglob("*")))
+    return b"".join(path.read_bytes() for path in files
+                    if path.is_file() and path.suffix not in (".pyc", ".md", ".json"))

@@ -2,12 +2,31 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fixtures.tools import must
 from hydroopt import load_machine
 from hydroopt.cli import app
+from hydroopt.codegen import self_test
 from hydroopt.machine.machine_file import dump_machine
+
+
+@pytest.mark.parametrize("others", [("inverse_dynamics",), pytest.param((), marks=pytest.mark.slow)])
+def test_a_routine_without_states_for_the_self_test_is_named(others: tuple[str, ...], tmp_path: Path,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(self_test, "CLEAR", np.inf)
+    monkeypatch.setattr(self_test, "TRIES", 2)
+    named = [word for name in ("tip_wrench", *others) for word in ("--functions", name)]
+    done = CliRunner().invoke(app, ["codegen", "patu655", "-o", str(tmp_path), *named, "--quiet"])
+    said = ("the self-test leaves out tip_wrench, since none of 2 tries found states that determine every result "
+            "clearly")
+    assert done.exit_code == 0, done.output
+    assert [line for line in done.stderr.splitlines() if "self-test" in line] == [f"! {said}"]
+    assert f"- Not tested: {said}." in (tmp_path / "README.md").read_text()
+    assert "self-test passed" in must(["make", "check"], tmp_path)
+    assert ("patu655_inverse_dynamics(" in (tmp_path / "patu655_selftest.c").read_text()) == bool(others)
 
 
 @pytest.mark.slow
