@@ -30,6 +30,7 @@ from hydroopt.report.samples import unpacked
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.json_file import COMMON
+from hydroopt.results.verdict import Purpose, Usable
 from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 
@@ -309,5 +310,10 @@ def test_machines_that_nothing_holds_have_a_report(tmp_path: Path) -> None:
     found = calibrate(calibration_problem(model.machine, poses))
     assert found.status == "ok"
     assert np.ptp(found.workspace.position[:, 0]) > 1
-    assert not np.any(found.workspace.std)
+    assert np.all(np.isnan(found.workspace.std))
+    assert found.workspace.exact == ("lift.a", "bucket.a")
+    use = found.uses[0]
+    assert (use.purpose, use.usable, use.figure) == (Purpose.POSITION, Usable.UNTESTED, None)
+    assert use.reason == "the machine file states no sigma of lift.a, bucket.a"
+    assert "a sigma of lift.a, bucket.a" in found.next_steps[-2].text
     assert "tilt_cylinder.barrel.x" in render(found)

@@ -107,15 +107,21 @@ class Calibration(KinematicSolution, Answer):
         held_out = "no held-out poses" if self.problem.validation is None else "tested on held-out poses"
         if self.tested is not None:
             held_out = f"errors of held-out poses {self.tested.ratio:.2g} times those stated"
-        condition = f"95 %, by the intervals; {held_out}"
-        workspace = self.workspace
-        extent = float(np.linalg.norm(np.ptp(workspace.position, axis=0))) / 2
-        unknown = "" if np.all(np.isfinite(workspace.std)) else "the poses do not determine all that moves it"
-        half = NORMAL * workspace.largest_std
-        end = judged(Purpose.POSITION, workspace.point, half, "m", half / extent if extent else np.nan,
-                     condition=condition, reason=unknown)
-        return (end, *(determined(Purpose.DIMENSIONS, each, condition="95 % intervals",
+        return (self._end(held_out), *(determined(Purpose.DIMENSIONS, each, condition="95 % intervals",
                                   unknown="not determined by the poses") for each in self.parameters.rows))
+
+    def _end(self, held_out: str) -> Use:
+        """How well it places the machine's end."""
+        workspace = self.workspace
+        exact = ", ".join(workspace.exact)
+        if not workspace.moved:
+            return Use(Purpose.POSITION, workspace.point, Usable.UNTESTED, reason=(
+                f"the machine file states no sigma of {exact or 'any number that moves it'}"))
+        half, extent = NORMAL * workspace.largest_std, float(np.linalg.norm(np.ptp(workspace.position, axis=0))) / 2
+        return judged(
+            Purpose.POSITION, workspace.point, half, "m", half / extent if extent else np.nan,
+            condition="; ".join(["95 %, by the intervals", *([f"{exact} as stated"] if exact else []), held_out]),
+            reason="" if np.all(np.isfinite(workspace.std)) else "the poses do not determine all that moves it")
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
@@ -128,6 +134,10 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.MEASURE, (
                 f"For {weak[0]}, measure the poses that 'hydroopt plan-poses {self.problem.model.machine.source} "
                 f"--focus {weak[0]}' plans.")))
+        if not self.workspace.moved and self.workspace.exact:
+            steps.append(NextStep(Action.STATE, (
+                f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
+                "the tip, a calibrator or a tracker, in the machine file.")))
         return (*steps, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
 
     @property

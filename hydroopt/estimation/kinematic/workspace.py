@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.kinematic.observability import spread
 from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.machine.description import BASE
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
@@ -21,13 +22,17 @@ class WorkspaceAccuracy(NamedTuple):
     """Positions (K, 3) [m] of a named `point` and their standard deviations (K,) [m]; `measured` (N, 3) in the poses.
 
     The standard deviation is the root of the sum of three directions' variances; NaN where a parameter that moves the
-    point is not identifiable.
+    point is not identifiable, and where none moves it. `exact` are lengths of the links up to the point of which the
+    machine file states no sigma: they are taken to be without error.
     """
 
     point: str
     position: Array
     std: Array
     measured: Array
+    exact: tuple[str, ...] = ()
+    moved: bool = True
+    """Whether any parameter moves the point."""
 
     @property
     def median_std(self) -> float:
@@ -50,8 +55,22 @@ def workspace_accuracy(solution: KinematicSolution) -> WorkspaceAccuracy:
     name, function = machine_end(model)
     geometry = solution.theta[: len(model.parameters)]
     position, by_g = model.over(function, geometry, q)
-    std = spread(model, solution.observability, by_g) * max(1.0, solution.noise_scale)
-    return WorkspaceAccuracy(name, position[:, :, 0], std, model.over(function, geometry, solution.q)[0][:, :, 0])
+    moved = bool(np.any(by_g))
+    std = (spread(model, solution.observability, by_g) * max(1.0, solution.noise_scale) if moved
+           else np.full(len(q), np.nan))
+    return WorkspaceAccuracy(name, position[:, :, 0], std, model.over(function, geometry, solution.q)[0][:, :, 0],
+                             exact_lengths(model), moved)
+
+
+def exact_lengths(model: KinematicModel) -> tuple[str, ...]:
+    """Lengths of the links from the base to the machine's end that are not zero and that no sigma makes uncertain."""
+    machine, numbers = model.machine, model.machine.numbers
+    name, names = machine.calibrator.parent if machine.calibrator else machine.tip, list[str]()
+    while name != BASE:
+        names.insert(0, name)
+        name = machine.link(name).parent
+    return tuple(address for name in names for address in (f"{name}.d", f"{name}.a")
+                 if address in numbers and numbers[address].value and address not in model.parameters.positions)
 
 
 def machine_end(model: KinematicModel) -> tuple[str, ca.Function]:
