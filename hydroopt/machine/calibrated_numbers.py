@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hydroopt.machine.flat_loops import closed_flat
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 
@@ -31,4 +32,4 @@ def with_calibrated(machine: Machine, found: Mapping[str, tuple[float, float]], 
         values[name] = value
         notes[name] = machine.notes.get(path, Note()).model_copy(update={
             "sigma": widest[path], "relative": False, "source": source})
-    return machine.with_values(values, notes)
+    return machine.with_values(closed_flat(machine, values), notes)

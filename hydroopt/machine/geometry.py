@@ -90,11 +90,15 @@ class Geometry:
         own = self.far_end(loop.link).origin if loop.pin is None else self.point(f"{loop.name}.pin")
         return own, self.point(loop.name)
 
+    def loop_axis(self, loop: Loop) -> str:
+        """The first joint between a loop's ends that turns, or the first one."""
+        joints = self.machine.joints_between(loop.link, loop.to.link)
+        return next((joint for joint in joints if self._link[joint].joint.type == "revolute"), joints[0])
+
     def loop_gap(self, loop: Loop, q: Mapping[str, ca.SX]) -> ca.SX:
         """From one end of a loop to the other (3,) [m], in the seat of its first joint that turns."""
         own, target = self.loop_ends(loop)
-        joints = self.machine.joints_between(loop.link, loop.to.link)
-        first = next((joint for joint in joints if self._link[joint].joint.type == "revolute"), joints[0])
+        first = self.loop_axis(loop)
         return self.from_seat(first, loop.to.link, q).point(target) - self.from_seat(first, loop.link, q).point(own)
 
     def triangle(self, cylinder: Pinned) -> tuple[str, Triangle] | None:

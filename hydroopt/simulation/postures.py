@@ -105,16 +105,15 @@ def sensed_joints(model: KinematicModel) -> list[int]:
 def read_joints(model: KinematicModel, stage: Stage | None = None) -> list[int]:
     """Positions of the joints that are read, by the machine file.
 
-    Those of the calibrator that have a sensor, and of the machine those that the stage does not name; all with a sensor
-    where the calibrator has none or the machine has no stages.
+    Those of the calibrator that have a sensor, and of the machine those that the stage does not name, without one those
+    that no stage names; all with a sensor where the calibrator has none or the machine has no stages.
     """
     sensed = [k for k, joint in enumerate(model.joints) if model.machine.sensor(f"{joint}.q")]
     own = sensed_joints(model)
     if not own or not model.machine.stages:
         return sensed
-    if stage is None:
-        return own
-    named = {*stage.moves, *stage.locked}
+    named = {joint for each in (model.machine.stages if stage is None else (stage,))
+             for joint in (*each.moves, *each.locked)}
     return [k for k in sensed if k in own or model.joints[k] not in named]
 
 

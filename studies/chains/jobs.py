@@ -79,6 +79,7 @@ def chain(machine: str, seed: int) -> tuple[Job, ...]:
                                   "--quiet"), ("plan/postures.csv",)),
         Job("calibrate", cli("calibrate", machine, poses, "-o", "geometry", "--quiet"), (poses,),
             "geometry/estimate.json"),
+        Job("show calibrated", cli("show", "geometry", "-o", "calibrated"), ("geometry/estimate.json",)),
     )
 
 

@@ -375,7 +375,7 @@ def test_a_file_based_on_a_bundled_machine_states_only_differences() -> None:
     assert "grapple.joint.d" not in {path for path, note in base.notes.items() if note.sigma}
     assert read_machine(dump_machine(own)) == own
     more = load_machine("cat215b_bucket")
-    assert [link.name for link in more.links] == ["swing", "boom", "stick", "rocker", "coupler", "bucket"]
+    assert [link.name for link in more.links] == ["swing", "boom", "stick", "stick_end", "rocker", "coupler", "bucket"]
     assert [cylinder.name for cylinder in more.cylinders] == ["boom_cylinder", "stick_cylinder", "bucket_cylinder"]
     with pytest.raises(MachineError, match="based_on: 'cat' is no bundled machine"):
         read_machine('based_on = "cat"')

@@ -33,6 +33,7 @@ from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.logs.any_log import in_memory
+from hydroopt.machine.flat_loops import closed_flat
 from hydroopt.model.model import Model
 
 
@@ -67,10 +68,11 @@ def identify_with_geometry(problem: CombinedProblem, method: Method = "sdp", *, 
 def _about(problem: CombinedProblem, beside: Sequence[NumbersBeside], kinematics: Calibration) -> IdentificationProblem:
     """The identification of the machine with a geometry, whose numbers are unknown about it."""
     nominal, chain = problem.identification, kinematics.problem.model
+    machine = nominal.model.machine
     theta = dict(zip(kinematics.problem.parameters.names, kinematics.theta.tolist(), strict=True))
     theta |= dict(zip(beside[0].names, beside[0].value.tolist(), strict=True))
     geometry = {name: theta[name] for name in chain.parameters.names}
-    model = Model(nominal.model.machine.with_values(geometry), actuator_inertia=nominal.model.actuator_inertia,
+    model = Model(machine.with_values(closed_flat(machine, geometry)), actuator_inertia=nominal.model.actuator_inertia,
                   calibrator=nominal.model.calibrator, terms=nominal.model.terms)
     train, held_out = ([prepared(data.log, model, problem.smoothing) for data in some]
                        for some in (nominal.experiments, nominal.validation))

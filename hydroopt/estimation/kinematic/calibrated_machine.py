@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.machine.flat_loops import closed_flat
 from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
@@ -76,7 +77,7 @@ def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
         notes[name] = of_paths[path] = before.model_copy(update={"source": source})
     widened = tuple(_widened(solution))
     reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
-    return CalibratedMachine(*within_strokes(reached.with_values(values, notes)), widened)
+    return CalibratedMachine(*within_strokes(reached.with_values(closed_flat(reached, values), notes)), widened)
 
 
 def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:

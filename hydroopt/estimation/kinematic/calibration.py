@@ -138,7 +138,9 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
                 "the tip, a calibrator or a tracker, in the machine file.")))
-        return (*steps, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
+        if self._written.text:
+            steps.append(NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
+        return tuple(steps)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
