@@ -6,15 +6,14 @@ from hydroopt.results.wording import Kind, Words
 
 POSE_WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
-        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
-        "{after_deg[1]:.2f} deg. The calibrated machine has these limits instead of {before_deg[0]:.2f} to "
-        "{before_deg[1]:.2f} deg."),
+        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after}{others}. The calibrated "
+        "machine has these limits instead of {before}."),
     Kind.JOINT_LIMITS_WIDENED: Words(
-        "Poses of {subject} lie beyond its limits, {before_deg[0]:.2f} to {before_deg[1]:.2f} deg. The calibrated "
-        "machine has {after_deg[0]:.2f} to {after_deg[1]:.2f} deg.", "Check the sensor's zero."),
+        "Poses of {subject} lie beyond its limits, {before}. The calibrated machine has {after}.",
+        "Check the sensor's zero."),
     Kind.STROKE_CONTRADICTS_POSES: Words(
-        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
-        "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
+        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after} only, but {beyond} poses "
+        "lie beyond.",
         "Correct dead length and stroke of {cylinder} in the machine file."),
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",

@@ -5,8 +5,10 @@ import pytest
 
 import hydroopt as ho
 from hydroopt.machine import cylinder_checks
+from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.joint_limits import INSIDE, _reach, within_strokes
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.spatial.cylinder_triangle import Triangle
 
 
@@ -64,3 +66,33 @@ def test_one_of_two_opposed_cylinders_may_pass_its_dead_point() -> None:
     assert {change.cylinder for change in changes} == {"swing_cylinder_left"}
     (change,) = changes
     assert pin_distance(shorter, "swing", change.cylinder, min(change.after, key=abs)) == pytest.approx(0.76, abs=1e-5)
+
+
+def test_a_cylinder_that_two_joints_move_narrows_the_one_it_is_there_for() -> None:
+    """Its stroke then covers both ranges, and no more is given up than that takes."""
+    loader = ho.load_machine("wheel_loader")
+    longer = loader.with_values({"tilt_cylinder.dead_length": 0.99})
+    with pytest.raises(ImpossibleError, match="'tilt_cylinder' would be"):
+        cylinder_checks.check(longer)
+    narrower, (change,) = within_strokes(longer)
+    assert (change.joint, change.cylinder, change.others) == ("bucket", "tilt_cylinder", ("lift",))
+    cylinder_checks.check(narrower)
+    shortest = cylinder_checks.over_range(Geometry(narrower), narrower.cylinders[1]).lengths.min()
+    assert shortest == pytest.approx(0.99, abs=1e-5)
+
+
+def test_a_joint_that_slides_is_narrowed_too() -> None:
+    crane = ho.load_machine("knuckle_boom_crane").with_values({"telescope_cylinder.dead_length": 1.36})
+    narrower, (change,) = within_strokes(crane)
+    assert (change.joint, change.before) == ("telescope", (0.0, 1.1))
+    assert 0 < change.after[0] < 0.02
+    cylinder_checks.check(narrower)
+
+
+def test_two_cylinders_of_one_joint_both_narrow_it() -> None:
+    backhoe = ho.load_machine("backhoe").with_values(
+        {"swing_cylinder_left.dead_length": 0.76, "swing_cylinder_right.dead_length": 0.77})
+    narrower, changes = within_strokes(backhoe)
+    assert [change.cylinder for change in changes] == ["swing_cylinder_left", "swing_cylinder_right"]
+    assert narrower.link("swing").joint.range == changes[1].after
+    cylinder_checks.check(narrower)

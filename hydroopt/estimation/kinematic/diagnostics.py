@@ -65,20 +65,28 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     for limits in narrowed:
         k = solution.problem.model.joints.index(limits.joint)
         angles, least = solution.q[~solution.suspicious, k], READING * float(solution.problem.angle_sigma[k]) + ROUNDED
-        beyond = int(np.sum((angles < limits.after[0] - least) | (angles > limits.after[1] + least)))
+        beyond = 0 if limits.others else int(
+            np.sum((angles < limits.after[0] - least) | (angles > limits.after[1] + least)))
         yield Diagnostic(Kind.STROKE_CONTRADICTS_POSES if beyond else Kind.JOINT_LIMITS_NARROWED, (limits.joint,), {
-            "cylinder": limits.cylinder, "before_deg": np.degrees(limits.before).tolist(),
-            "after_deg": np.degrees(limits.after).tolist(), "beyond": beyond})
+            **_limits(solution, limits), "cylinder": limits.cylinder, "beyond": beyond,
+            "others": f" wherever {' and '.join(limits.others)} stands" if limits.others else ""})
     for wider in widened:
         sigma = float(solution.problem.angle_sigma[solution.problem.model.joints.index(wider.joint)])
         by = max(wider.before[0] - wider.after[0], wider.after[1] - wider.before[1])
         if by <= READING * sigma + ROUNDED:  # errors of readings at the end of the range
             continue
-        yield Diagnostic(Kind.JOINT_LIMITS_WIDENED, (wider.joint,), {
-            "before_deg": np.degrees(wider.before).tolist(), "after_deg": np.degrees(wider.after).tolist()})
+        yield Diagnostic(Kind.JOINT_LIMITS_WIDENED, (wider.joint,), _limits(solution, wider))
     if impossible:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {
             "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"})
+
+
+def _limits(solution: KinematicSolution, limits: NarrowedLimits | WidenedLimits) -> dict[str, Any]:
+    """Limits of a joint before and after, in words and in its unit."""
+    slides = solution.problem.model.machine.link(limits.joint).joint.type == "prismatic"
+    before, after = (np.array(each) if slides else np.degrees(each) for each in (limits.before, limits.after))
+    return {name: f"{low:.5g} to {high:.5g} {'m' if slides else 'deg'}" for name, (low, high) in
+            (("before", before.tolist()), ("after", after.tolist()))}
 
 
 def _suspects(solution: KinematicSolution) -> Iterator[Diagnostic]:
