@@ -6,11 +6,15 @@ import ast
 import importlib
 import importlib.util
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from hydroopt.machine.machine_file import bundled
 from studies.__main__ import FAILS, HERE, HOLDS, QUICK, Row, checked, markdown, rows
+from studies.chains import run as chains
+from studies.chains.jobs import Job, Outcome
 
 
 @pytest.mark.parametrize(("value", "limits", "bound", "verdict"), [
@@ -29,6 +33,36 @@ def test_a_study_gives_rows_whatever_happens(code: str, expected: list, tmp_path
     (tmp_path / "run.py").write_text(f"def run():\n    {code}\n")
     (tmp_path / "expected.json").write_text(json.dumps({"a": {"equals": 1}}))
     assert [(row.quantity, row.value, row.verdict) for row in rows(tmp_path)] == expected
+
+
+def test_a_part_of_a_study_is_held_against_its_own_bounds(tmp_path: Path) -> None:
+    (tmp_path / "run.py").write_text("def run(*parts):\n    return {part: len(part) for part in parts or 'ab'}\n")
+    (tmp_path / "expected.json").write_text(json.dumps({"a": {"equals": 1}, "b": {"equals": 3}}))
+    assert [(row.quantity, row.verdict) for row in rows(tmp_path)] == [("a", HOLDS), ("b", FAILS)]
+    assert [(row.quantity, row.verdict) for row in rows(tmp_path, ["a"])] == [("a", HOLDS)]
+
+
+def test_every_bundled_machine_has_a_bound_in_the_study_of_all_jobs() -> None:
+    assert set(bundled()) <= json.loads((HERE / "chains" / "expected.json").read_text("utf-8")).keys()
+
+
+def test_what_a_machine_gave_is_kept_while_code_and_machine_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                                 capsys: pytest.CaptureFixture[str]) -> None:
+    ran: list[str] = []
+
+    def outcomes(jobs: Sequence[Job], folder: Path) -> list[Outcome]:
+        ran.append(jobs[0].command[-3])
+        return [Outcome("show", 2, "", 1.0, "no such machine")]
+
+    monkeypatch.setattr(chains, "OUT", tmp_path)
+    monkeypatch.setattr(chains, "outcomes", outcomes)
+    monkeypatch.setattr(chains, "_code", lambda: b"this code")
+    assert chains.run("ur10", "kr300")["kr300"] == "show refused"
+    assert chains.run("ur10", "kr300", "ur10e")["kr300"] == "show refused"
+    assert ran == ["ur10", "kr300", "ur10e"]
+    monkeypatch.setattr(chains, "_code", lambda: b"other code")
+    chains.run("ur10")
+    assert ran[3:] == ["ur10"]
 
 
 def test_the_seconds_of_a_study_stand_once() -> None:
