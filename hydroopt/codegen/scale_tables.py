@@ -112,8 +112,7 @@ class ScaleTables:
     @property
     def rules(self) -> Mapping[str, float]:
         """Numbers of the rules."""
-        of_gains = {"SMALLEST_SHARE": equations.SMALLEST_SHARE} if self.scale.gains else {}
-        return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST, **of_gains,
+        return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST,
                 "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
                 "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
                 "NOTICED": course.NOTICED, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
@@ -137,6 +136,7 @@ class ScaleTables:
         own = scale.own.without(slice(self.numbers, scale.count))
         return {"psi": scale.psi, "columns": np.hstack([scale.directions, -scale.taken, scale.carried]),
                 "root": own.root, "right": own.right, "angle_std": scale.angle_std, "force_std": scale.force_std,
+                "read": scale.read,
                 "gravity": np.array(np.linalg.norm(scale.gravity)), "axes": scale.axes,
                 "centre": np.array(load.centre), "centre_std": np.array(load.centre_std),
                 "full_scale": np.array(load.full_scale), "radius": np.array(load.radius), "gain": np.array(scale.gain),

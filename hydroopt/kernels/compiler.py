@@ -31,6 +31,8 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
 
 
 FLAGS = flags(platform.system(), platform.machine())
+INSTALLED = {"Darwin": "'xcode-select --install' installs one", "Windows": "install clang of LLVM, and add it to the path"}
+"""How a compiler is installed, by ``platform.system()``."""
 LONG = 300_000
 """Characters of C beyond which full optimisation takes minutes and gains little."""
 LONGEST = 3_000_000
@@ -90,7 +92,7 @@ def compiler() -> Compiler | None:
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             if stated == os.environ.get("CC"):
                 notice(f"CC={stated!a:.100} cannot be used ({reason(error)})", "the system's compiler is used")
-    notice("no C compiler found")
+    notice(f"no C compiler found ({INSTALLED.get(platform.system(), 'install gcc or clang')})")
     return None
 
 

@@ -18,7 +18,7 @@ WORDS = {
     "boom": ("ausleger", "hubarm", "mainboom"), "stick": ("arm", "dipper", "stiel", "loeffelstiel", "dipperstick"),
     "bucket": ("loeffel", "schaufel", "attachment"),
     "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "schwenkwerk", "house", "cab"),
-    "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
+    "main": ("haupt",), "outer": ("knick", "aussen"), "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
     "cylinder": ("cyl", "zylinder", "zyl", "ram", "jack"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
     "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi",
               "neigung", "angulo", "kulma", "vinkel", "kakudo"),

@@ -52,9 +52,14 @@ class Equations:
         return self.smoothed.sign
 
     @cached_property
+    def force(self) -> Array:
+        """(M, r) measured forces [N or N·m], as known loads have corrected them."""
+        return np.asarray(self.smoothed.force * (1 - self.scale.read))
+
+    @cached_property
     def rest(self) -> Array:
         """(M, r) measured less predicted forces."""
-        return self.smoothed.force - self.predicted
+        return self.force - self.predicted
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -70,8 +75,8 @@ class Equations:
         rest, J = self.rest[i] - by_number @ x, np.hstack([by_number[:, 1:-10], by_tilt, by_number[:, -10:]])
         if self.scale.gains:
             at = slice(-2 - self.scale.gains, -2)
-            force, read = self.smoothed.force[i] - rest, 1 / np.maximum(1 - own[at], SMALLEST_SHARE)
-            rest, J = self.smoothed.force[i] - read * force, read[:, None] * J
+            force, read = self.force[i] - rest, 1 / np.maximum(1 - own[at], SMALLEST_SHARE)
+            rest, J = self.force[i] - read * force, read[:, None] * J
             J[:, : len(own)][:, at] += np.diag(read**2 * force)
         return rest, J
 
@@ -94,7 +99,8 @@ def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
     parts = [(share, smoothed.motion(tau)) for tau, share in smoothed.kernel.nodes]
     K, predicted = (sum(share * each for (share, _), each in zip(parts, some, strict=True)) for some in zip(*(
         model.over(model.linearised, *at, psi) for _, at in parts), strict=True))
-    size, numbers = np.abs(smoothed.force), np.column_stack([psi, scale.directions, -scale.taken, scale.carried])
+    size = np.abs(smoothed.force * (1 - scale.read))
+    numbers = np.column_stack([psi, scale.directions, -scale.taken, scale.carried])
     k = scale.directions.shape[1]
     seen = K @ numbers
     seen[:, :, 0] = 0.0

@@ -104,7 +104,7 @@ class ForceReadings:
 
     Attributes:
         taken: (p, r) what each force's readings contribute to the calibrated parameters.
-        too_large: (r,) what the calibration tells of the part of each force that is read too much.
+        too_large: (r,) what calibration and known loads tell of the part of each force that is read too much.
         std: of that part before the calibration.
     """
 
@@ -118,22 +118,24 @@ class Scale:
     """An identified machine that weighs; `scale` makes one, `learned` refines it.
 
     Its own unknowns are, in this order: k numbers of the model, in directions that are independent and standard normal
-    after the calibration; the friction of r balances per force; after a known load the part of each of the r forces
-    that is read too much; two components of gravity [m/s²] across that of the machine file, along the base's x and y
-    where z points up.
+    after the calibration; the friction of r balances per force; while it learns from a known load the part of each of
+    the r forces that is read too much; two components of gravity [m/s²] across that of the machine file, along the
+    base's x and y where z points up.
 
     Attributes:
         model: of the machine.
         psi: (p,) identified parameters.
         directions: (p, k) of what is uncertain of them.
-        taken: (p, r or 2·r) what the calibration took for parameters, per friction that grows with the force of each
-            balance, and after a known load per part of each force that is read too much.
+        taken: (p, r) what the calibration took for parameters, per friction that grows with the force of each balance;
+            while it learns from a known load, (p, 2·r), also per part of each force that is read too much.
         load: what it weighs.
         own: what is known of its own unknowns.
         uncertain: what no calibration tells.
         angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces.
         tilt: roll and pitch of the base as stated, and their standard deviation [rad].
-        gain: standard deviation of the relative error that all masses have in common; 0 after a known load.
+        gain: standard deviation of the relative error that all masses have in common.
+        read: (r,) part of each force's readings that is taken off, as known loads tell it.
+        known_loads: number of known loads that it has learned from.
         readings: what lets a known load determine errors in scale; None where they are stated to be exact.
         drifts: (k, a) part in the model's numbers of what drifts from session to session.
 
@@ -153,6 +155,8 @@ class Scale:
     gain: float
     readings: ForceReadings | None
     drifts: Array
+    read: Array
+    known_loads: int = 0
 
     @cached_property
     def carried(self) -> Array:
@@ -182,13 +186,7 @@ class Scale:
     @property
     def exact(self) -> bool:
         """Whether force readings are taken to be right in scale."""
-        return not self.gains and self.gain == 0
-
-    @property
-    def read_too_large(self) -> tuple[Array, Array]:
-        """Part of each force that is read too much, and its standard deviation, after a known load; empty before."""
-        at = slice(self.count - 2 - self.gains, self.count - 2)
-        return self.own.mean[at], np.sqrt(np.diag(self.own.covariance)[at])
+        return not self.known_loads and self.gain == 0
 
     def on_slope(self, roll: float, pitch: float, std: float | None = None) -> Scale:
         """The same scale on another slope: roll and pitch of the base [rad] as an inclinometer reads them.
@@ -213,12 +211,36 @@ class Scale:
 
 def with_gains(scale: Scale) -> Scale:
     """The same scale with the errors in scale of force readings among its own unknowns, if there may be any."""
-    if scale.gains or scale.readings is None:
+    if scale.readings is None:
         return scale
     own = scale.own.without(slice(scale.count - 2, scale.count)).and_other(scale.readings.too_large)
-    own = own.and_independent(np.zeros(2), np.ones(2))
-    made = replace(scale, own=own, taken=np.hstack([scale.taken, scale.readings.taken]), gain=0.0)
+    own, wrong = own.and_independent(np.zeros(2), np.ones(2)), scale.readings.taken
+    made = replace(scale, psi=scale.psi + wrong @ scale.read, read=np.zeros(len(scale.read)), own=own,
+                   taken=np.hstack([scale.taken, wrong]), gain=0.0)
     return made.on_slope(*scale.tilt)
+
+
+def corrected(scale: Scale, known: Gaussian, weights: Array) -> Scale:
+    """The scale after a known load: its readings are corrected, and what is left of their errors is that of masses.
+
+    Were these errors unknowns beside a load that is weighed, samples linearised at different loads would seem to tell
+    the ones from the other.
+
+    Args:
+        scale: with gains.
+        known: of its own unknowns after the known load.
+        weights: (r,) of the forces in a load's mass, which add up to 1.
+    """
+    if scale.readings is None:
+        return replace(scale, own=known, known_loads=scale.known_loads + 1)
+    r, k = len(scale.read), scale.count - 2 - len(scale.read)
+    at = slice(k, k + r)
+    covariance, read = known.covariance[at, at], known.mean[at]
+    root = np.asarray(np.linalg.cholesky(np.linalg.inv(covariance))).T
+    own = known.without(slice(k, scale.count)).and_independent(np.zeros(2), np.ones(2))
+    return replace(scale, psi=scale.psi - scale.readings.taken @ read, read=read, own=own, taken=scale.taken[:, :r],
+                   gain=float(np.sqrt(weights @ covariance @ weights)), known_loads=scale.known_loads + 1,
+                   readings=replace(scale.readings, too_large=Gaussian(root, root @ read)))
 
 
 def in_another_session(scale: Scale) -> Scale:
@@ -256,6 +278,10 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
         known = stored_information(model, calibration if given is None else given)
         logs = None if given is None else [smoothed_log(model, each) for each in given]
         p = len(model.parameters)
+        if len(known.triangles) != len(machine.balances):
+            raise ProblemError("this calibration weighted the residuals of all actuators jointly", where=machine.name,
+                               remedy="give its logs, or identify without --correlated, --fitted-motion and "
+                                      "--instruments")
         rows = known.triangles.reshape(-1, p + 1)
         found = gaussian_posterior(IdentificationProblem(model, ()), rows[:, :p], rows[:, p])
     angle_std = np.array([sensor.std if (sensor := machine.sensor(f"{joint}.q")) else np.nan
@@ -288,7 +314,7 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
     readings = None if gain == 0 else _readings(known, found, gain or UNKNOWN_GAIN)
     return Scale(model, found.offset, directions, taken, load, own, uncertain, angle_std, force_std,
                  (*machine.orientation[:2], uncertain.slope), gain or 0.0, readings,
-                 axes[p : p + drifts.shape[1]].T)
+                 axes[p : p + drifts.shape[1]].T, np.zeros(r))
 
 
 def _axes(gravity: Array) -> Array:

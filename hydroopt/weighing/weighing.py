@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -28,7 +28,7 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.recursion import Recursion, Weighed
-from hydroopt.weighing.scale import Scale, in_another_session, with_gains
+from hydroopt.weighing.scale import Scale, corrected, in_another_session, with_gains
 from hydroopt.weighing.smoothed_log import smoothed_log
 
 METHOD = "moving scale"
@@ -195,13 +195,19 @@ class Weighing(Answer):
             Weighable.CONTRADICTED, Weighable.TARING)), default=0.0)
         contradicted = (Diagnostic(Kind.SCALE_CONTRADICTED, (), {"misfit": worst}),) if worst > CONTRADICTED else ()
         assumed = (Diagnostic(Kind.FORCE_SCALE_ASSUMED),) if self.scale.exact else ()
-        balances, wrong = self.scale.model.machine.balances, zip(*self.scale.read_too_large, strict=True)
-        return (*contradicted, *assumed, *(
-            Diagnostic(Kind.FORCE_SCALE_WRONG, (balance.name,), {
-                "percent": f"{100 * abs(part):.1f} ± {100 * NORMAL * std:.1f}",
-                "way": "large" if part > 0 else "small"})
-            for balance, (part, std) in zip(balances, wrong, strict=False)
-            if abs(part) > max(WRONG_GAIN, WRONG_STD * std)))
+        return (*contradicted, *assumed, *self._wrong_readings())
+
+    def _wrong_readings(self) -> Iterator[Diagnostic]:
+        """Forces that are read too large or too small, by known loads."""
+        readings = self.scale.readings
+        if not self.scale.known_loads or readings is None:
+            return
+        for balance, part, variance in zip(self.scale.model.machine.balances, self.scale.read,
+                                           np.diag(readings.too_large.covariance), strict=True):
+            if abs(part) > max(WRONG_GAIN, WRONG_STD * np.sqrt(variance)):
+                yield Diagnostic(Kind.FORCE_SCALE_WRONG, (balance.name,), {
+                    "percent": f"{100 * abs(part):.1f} ± {100 * NORMAL * np.sqrt(variance):.1f}",
+                    "way": "large" if part > 0 else "small"})
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -234,7 +240,7 @@ class Weighing(Answer):
             return (NextStep(Action.CHECK, "If a load was carried, check that the machine was empty during the tare: "
                                            "--tare states how long it is at the beginning."),)
         if all(each.ok for each in self.loads):
-            return () if self.scale.gains else (NextStep(Action.MEASURE, (
+            return () if self.scale.known_loads else (NextStep(Action.MEASURE, (
                 "Weigh one known load, --known '1200 kg:weight.csv': only it shows errors of areas and sensors' "
                 "scales.")),)
         return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "
@@ -272,7 +278,7 @@ class Weighing(Answer):
                 "assumed": {"link": load.link, "centre": list(load.centre), "centre_std": list(load.centre_std),
                             "full_scale": load.full_scale, "radius": load.radius, "slope_std": uncertain.slope,
                             "load_friction": uncertain.load_friction, "zero_drift": uncertain.zero_drift,
-                            "gain": self.scale.gain, "known_load": self.scale.gains > 0}}
+                            "gain": self.scale.gain, "known_loads": self.scale.known_loads}}
 
     def files(self) -> Mapping[str, str]:
         """What the scale showed over time, as CSV."""
@@ -364,8 +370,9 @@ def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
     if found.misfit > CONTRADICTED:
         raise ProblemError(f"the log contradicts the scale's model ({found.misfit:.1f} times the expected residuals)",
                            where=log.path or log.name, remedy="check the mass, the load's centre and the slope")
-    made_sure = replace(scale, own=found.own_known)
-    wrong = max(made_sure.read_too_large[0], key=abs, default=0.0)
+    shown = np.sum(np.where(made.moving, made.K[:, :, -10], 0.0) ** 2, axis=0) / scale.force_std**2
+    made_sure = corrected(scale, found.own_known, shown / np.sum(shown))
+    wrong = float(max(made_sure.read, key=abs))
     if scale.readings is not None and abs(wrong) > IMPLAUSIBLE * scale.readings.std:
         raise ProblemError(f"a force reading would have to be {100 * abs(wrong):.0f} % too "
                            f"{'large' if wrong > 0 else 'small'} for a load of {mass:g} kg",

@@ -246,6 +246,10 @@ def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: S
         learned(made, weight, 900.0, 2.0)
     with pytest.raises(ho.ProblemError, match="contradicts the scale's model"):
         learned(made, weight, 500.0, 2.0)
+    again = learned(taught, weight, 1500.0, 2.0)
+    assert again.known_loads == 2
+    assert again.gain < taught.gain
+    assert np.allclose(again.read, taught.read, atol=0.004)
 
 
 WRONG_FILES = {"all": (1.1, 1.1, 1.1), "boom": (1.0, 1.1, 1.0), "stick": (1.0, 1.0, 0.9)}
@@ -276,7 +280,7 @@ def test_a_known_load_corrects_wrong_areas(wrong: str, log: ho.Log, machine: Sim
     said = [each for each in found.diagnostics if each.kind is Kind.FORCE_SCALE_WRONG]
     assert len(found.diagnostics) == len(said) == sum(factor != 1 for factor in factors)
     assert "true to" not in found.headline
-    for part, factor in zip(found.scale.read_too_large[0], factors, strict=True):
+    for part, factor in zip(found.scale.read, factors, strict=True):
         assert part == pytest.approx(1 - 1 / factor, abs=0.03)
 
 

@@ -15,7 +15,7 @@ enum {
     READINGS = {{ P }}_READING_COUNT,
     ROWS = {{ P }}_SCALE_ROWS,
     PSI = {{ P }}_SCALE_PSI,
-    MODEL = {{ P }}_SCALE_NUMBERS - {{ P }}_SCALE_ROWS{% if scale.scale.gains %} - {{ P }}_SCALE_ROWS{% endif %},
+    MODEL = {{ P }}_SCALE_NUMBERS - {{ P }}_SCALE_ROWS,
     NUMBERS = {{ P }}_SCALE_NUMBERS,
     OWN = {{ P }}_SCALE_OWN,
     BODY = {{ P }}_SCALE_BODY,
@@ -278,8 +278,9 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
     }
     for (size_t a = 0U; a < (size_t)ROWS; a++) {
         real *const row = made->row[a];
-        const real rubbing = fabs{{ f }}(force[a]) * sign[a];
-        real right = force[a] - (rubbing * scale->own[(size_t)MODEL + a]);
+        const real read = force[a] * ({{ 1 | number }} - params->read[a]);
+        const real rubbing = fabs{{ f }}(read) * sign[a];
+        real right = read - (rubbing * scale->own[(size_t)MODEL + a]);
         made->used[a] = (fabs{{ f }}(sign[a]) > none) ? 1U : 0U;
         for (size_t i = 0U; i < (size_t)PSI; i++) {
             right -= K[a][i] * total[i];
@@ -296,19 +297,6 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
                 row[(size_t)NUMBERS + j] += by_gravity[a][k] * turn[j][k];
             }
         }
-{% if scale.scale.gains %}
-        {
-            const size_t wrong = (size_t)(MODEL + ROWS) + a;
-            const real share = {{ 1 | number }} - scale->own[wrong];
-            const real read = {{ 1 | number }} / ((share > SMALLEST_SHARE) ? share : SMALLEST_SHARE);
-            const real predicted = force[a] - right;
-            for (size_t j = 0U; j < (size_t)UNKNOWNS; j++) {
-                row[j] *= read;
-            }
-            row[wrong] += square(read) * predicted;
-            right = force[a] - (read * predicted);
-        }
-{% endif %}
         for (size_t j = 0U; j < (size_t)OWN; j++) {
             right += row[j] * scale->own[j];
         }

@@ -28,7 +28,7 @@ typedef enum {
 enum {
     {{ P }}_SCALE_ROWS = {{ scale.rows }}, /* measured forces */
     {{ P }}_SCALE_PSI = {{ scale.psi | length }}, /* dynamic parameters */
-    {{ P }}_SCALE_NUMBERS = {{ scale.numbers }}, /* uncertain numbers of the model, and friction per force{% if scale.scale.gains %} and error in scale{% endif %} of each measured force */
+    {{ P }}_SCALE_NUMBERS = {{ scale.numbers }}, /* uncertain numbers of the model, and friction per force of each measured force */
     {{ P }}_SCALE_OWN = {{ scale.numbers + 2 }}, /* and gravity along the first two axes */
     {{ P }}_SCALE_BODY = 10, /* numbers of the load */
     {{ P }}_SCALE_UNKNOWNS = {{ scale.numbers + 12 }},
@@ -54,6 +54,7 @@ typedef struct {
     {{ type }} right[{{ P }}_SCALE_NUMBERS];
     {{ type }} angle_std[{{ P }}_JOINT_COUNT]; /* [rad or m] noise of positions */
     {{ type }} force_std[{{ P }}_SCALE_ROWS]; /* [N or N*m] noise of forces */
+    {{ type }} read[{{ P }}_SCALE_ROWS]; /* part of each force that is taken off, as known loads tell it */
     {{ type }} gravity; /* [m/s^2] */
     {{ type }} axes[3][3]; /* unit vectors in the base frame, two across the machine file's gravity and one along it */
     {{ type }} centre[3]; /* [m] where the load's centre of mass is expected in the frame of {{ scale.link }} */
