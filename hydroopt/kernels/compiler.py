@@ -31,7 +31,8 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
 
 
 FLAGS = flags(platform.system(), platform.machine())
-INSTALLED = {"Darwin": "'xcode-select --install' installs one", "Windows": "install clang of LLVM, and add it to the path"}
+INSTALLED = {"Darwin": "'xcode-select --install' installs one",
+             "Windows": "install clang of LLVM, and add it to the path"}
 """How a compiler is installed, by ``platform.system()``."""
 LONG = 300_000
 """Characters of C beyond which full optimisation takes minutes and gains little."""

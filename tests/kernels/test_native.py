@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import logging
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -211,11 +212,16 @@ def test_a_misspelt_compiler_is_named_and_the_usual_one_serves(command: str, why
     assert why in caplog.text
 
 
-def test_without_a_compiler_casadi_does_the_work(folder: Path, monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("system", "remedy"), [("Linux", "install gcc or clang"), ("Darwin", "xcode-select --install"),
+                                                ("Windows", "clang of LLVM")])
+def test_without_a_compiler_casadi_does_the_work(system: str, remedy: str, folder: Path,
+                                                 monkeypatch: pytest.MonkeyPatch,
                                                  caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setattr(platform, "system", lambda: system)
     assert evaluated() == RIGHT
     assert "no C compiler found" in caplog.text
+    assert remedy in caplog.text
 
 
 def script(folder: Path, compiling: str) -> str:
