@@ -32,7 +32,7 @@ from hydroopt.simulation.pose_table import simulate_poses
 HERE = Path(__file__).parent
 BUDGET, POINTS = 60.0, 300
 """Minutes; postures at which the tip is judged."""
-DRAWS = {"cat215b_tip": 50, "cat215b_force": 20, "cat215b_load": 10, "bucket_tip": 25}
+DRAWS = {"cat215b_tip": 50, "cat215b_force": 20, "cat215b_load": 8, "bucket_tip": 25}
 """Drawn machines: how many is a matter of time."""
 MANY = 1000
 """Candidates from which nothing could be better than stated."""
