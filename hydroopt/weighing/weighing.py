@@ -224,8 +224,8 @@ class Weighing(Answer):
         """How many loads were weighed."""
         if not self.loads:
             return self.findings[0].text
-        scaled = f", {TO_SCALE}" if self.scale.exact else ""
-        return f"{sum(each.ok for each in self.loads)} of {len(self.loads)} loads are weighed{scaled}."
+        scaled, weighed = f", {TO_SCALE}" if self.scale.exact else "", sum(each.ok for each in self.loads)
+        return f"{weighed} of {len(self.loads)} loads {'is' if weighed == 1 else 'are'} weighed{scaled}."
 
     def __str__(self) -> str:
         load = self.scale.load
@@ -239,10 +239,12 @@ class Weighing(Answer):
         if not self.loads:
             return (NextStep(Action.CHECK, "If a load was carried, check that the machine was empty during the tare: "
                                            "--tare states how long it is at the beginning."),)
+        known = NextStep(Action.MEASURE, (
+            "Weigh one known load, --known '1200 kg:weight.csv': only it shows errors of areas and sensors' scales."))
         if all(each.ok for each in self.loads):
-            return () if self.scale.known_loads else (NextStep(Action.MEASURE, (
-                "Weigh one known load, --known '1200 kg:weight.csv': only it shows errors of areas and sensors' "
-                "scales.")),)
+            return () if self.scale.known_loads else (known,)
+        if any(NORMAL * self.scale.gain * abs(each.mass) > self.needed for each in self.loads):
+            return (known,)
         return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "
                                        "mass more closely."),)
 

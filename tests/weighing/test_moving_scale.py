@@ -237,6 +237,9 @@ def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: S
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
     unsure = scale(machine.model, machine.calibration(5), LOAD, uncertain=Uncertain(gain=0.02))
     taught = learned(unsure, weight, 1500.0, 2.0)
+    uncertain = weigh(replace(unsure, gain=0.05), log)
+    assert not any(each.ok for each in uncertain.loads)
+    assert "--known" in uncertain.next_steps[0].text
     before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (unsure, taught))
     assert after.mass_std < 0.6 * before.mass_std
     assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + weigh(
