@@ -30,7 +30,7 @@ from hydroopt.report.samples import unpacked
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.json_file import COMMON
-from hydroopt.results.verdict import Purpose, Usable
+from hydroopt.results.verdict import Action, Purpose, Usable
 from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 
@@ -225,6 +225,8 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
     answer.save(tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
     assert "a dead point" in str(of_kind(answer.diagnostics, Kind.NO_CALIBRATED_MACHINE)[0])
+    assert not any(step.action is Action.USE for step in answer.next_steps)
+    assert solved.next_steps[-1].action is Action.USE
 
 
 def run(*arguments: str) -> str:
