@@ -226,6 +226,7 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
     assert "a dead point" in str(of_kind(answer.diagnostics, Kind.NO_CALIBRATED_MACHINE)[0])
     assert not any(step.action is Action.USE for step in answer.next_steps)
+    monkeypatch.undo()
     assert solved.next_steps[-1].action is Action.USE
 
 
