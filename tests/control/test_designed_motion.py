@@ -51,7 +51,7 @@ def test_a_motion_at_the_limit_of_the_pump_is_accepted_at_any_rate_of_the_contro
 
 COMPLETE = ("backhoe", "cat215b", "cat215b_bucket", "cat215b_link4", "excavator_bucket", "excavator_imu",
             "forestry_crane", "knuckle_boom_crane", "level_keeping_lift", "mini_excavator", "patu655", "patu655_lift",
-            "scissor_lift", "tampere_manipulator", "wheel_loader")
+            "scissor_lift", "stewart_platform", "tampere_manipulator", "wheel_loader")
 """Bundled machines that state valves for all that moves them, and their supply."""
 OPTIONS = {"patu655_lift": ("--rate", "200")}
 """What a machine's refusal asks for, of loops that are hardly damped at the rate of its sensors."""
