@@ -33,6 +33,8 @@ SHARE = 4096
 """Number of samples per thread."""
 LANES = 8
 """Doubles in a cache line: as many samples as a kernel computes side by side at most."""
+MUCH = 16
+"""Operations for each result from which on it does not matter whether results are written past the caches."""
 PIECE = 2000
 """Statements of long code that a compiler takes at a time, whose time grows faster than their number."""
 CACHED, RECYCLED = 2**20, 2**25
@@ -278,14 +280,15 @@ def source(made: Program) -> str:
                                 else None),
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
     long = sum(map(len, lines)) > LONG
+    results = sum(map(sum, written))
     pieces, passed = c_writer.in_pieces(lines, PIECE if long else len(lines) or 1)
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
 
     environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("kernel.c").render(
-        # code that is long computes so much that where results go does not matter
-        ways=("here",) if long else ("here", "past"), pieces=pieces, passed=passed,
+        # code that computes much for each result takes as long wherever these go
+        ways=("here",) if long or MUCH * results < len(made.nodes) else ("here", "past"), pieces=pieces, passed=passed,
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}),
         inputs=made.inputs, outputs=made.outputs, runs=[_runs(mask, of=True) for mask in written],
         gaps=[_runs(mask, of=False) for mask in written])
