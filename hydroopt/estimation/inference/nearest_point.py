@@ -104,10 +104,14 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    with given_alone():
-        found = clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope), constant,
-                                       kinds, settings).solve()
-    status = str(found.status)
+    # coordinates are whitened: scaling the rows as well costs steps, and without noise the end of the search
+    for settings.equilibrate_enable in (False, True):
+        with given_alone():
+            found = clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope), constant,
+                                           kinds, settings).solve()
+        status = str(found.status)
+        if "Solved" in status or "PrimalInfeasible" in status:
+            break
     if "PrimalInfeasible" in status:
         return None
     if "Solved" not in status:
