@@ -90,10 +90,10 @@ from .simulation.simulate import random_truth as random_truth
 from .simulation.simulate import simulate as simulate
 from .solving import solve as solve
 from .viewing import view as view
+from .weighing.calibrated_scale import scale as scale
 from .weighing.scale import CarriedLoad as CarriedLoad
 from .weighing.scale import Scale as Scale
 from .weighing.scale import Uncertain as Uncertain
-from .weighing.scale import scale as scale
 from .weighing.weighing import Weighing as Weighing
 from .weighing.weighing import learned as learned
 from .weighing.weighing import weigh as weigh

@@ -83,7 +83,8 @@ def weigh(
     from hydroopt.report.weighing import render
     from hydroopt.units import to_si
     from hydroopt.weighing import weighing
-    from hydroopt.weighing.scale import CarriedLoad, Uncertain, scale
+    from hydroopt.weighing.calibrated_scale import scale
+    from hydroopt.weighing.scale import CarriedLoad, Uncertain
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)

@@ -115,7 +115,7 @@ class ScaleTables:
         return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST,
                 "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
                 "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
-                "NOTICED": course.NOTICED, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
+                "NOTICED": course.NOTICED, "EMPTY": course.EMPTY, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
                 "RESTING": course.RESTING, "FORGOTTEN": course.FORGOTTEN, "FEWEST": course.FEWEST,
                 "CONTRADICTED": course.CONTRADICTED,
                 "NEGATIVE": course.NEGATIVE, "OVERLOAD": course.OVERLOAD, "NORMAL": NORMAL, "ROUNDING": 1e-6}

@@ -16,6 +16,9 @@ FREQUENCIES = 400
 """Number of frequencies at which loops are analysed, up to half the sampling rate."""
 SLOWEST = 2e-4
 """The lowest of these frequencies, as a part of the sampling rate."""
+LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-87.0, 88.0, 3.0)))
+"""Damping ratio below which a pole is a resonance, and frequencies about it in damping ratios from its own: equal steps
+along the circle of its Nyquist curve."""
 STANDING = 1e-4
 """Distance from 1 within which a pole is that of a position, which stands still where nothing moves it."""
 
@@ -68,6 +71,19 @@ class Margin(NamedTuple):
 def frequencies(period: float) -> Array:
     """[rad/s] at which loops are analysed."""
     return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
+
+
+def with_resonances(omega: Array, systems: Sequence[LinearSystem]) -> Array:
+    """Frequencies [rad/s], and those about the resonances of sampled systems between the first and the last of them."""
+    found = [omega]
+    for system in systems:
+        poles = system.poles.astype(complex)
+        roots = np.log(poles[np.abs(poles) > 0]) / system.period
+        size, damping = np.abs(roots), np.abs(roots.real) / np.maximum(np.abs(roots), 1e-12)
+        light = (damping < LITTLE_DAMPING) & (roots.imag > 0)
+        found.append((size[light, None] * (1 + damping[light, None] * WIDTHS)).ravel())
+    every = np.unique(np.concatenate(found))
+    return np.asarray(every[(every >= omega[0]) & (every <= omega[-1])])
 
 
 def responses(plant: LinearSystem, feedback: LinearSystem, omega: Array) -> Array:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from hydroopt.control.linear_system import LinearSystem, closed_loop
+from hydroopt.control.loop_margins import responses
 from hydroopt.spatial.inertia import Array
 
 
@@ -48,6 +49,10 @@ class Loops:
     def zeros(self) -> Array:
         """Transmission zeros of the closed loops, in the z plane."""
         return self.closed.zeros
+
+    def at(self, omega: Array) -> Loops:
+        """The same loops at other frequencies (ω,) [rad/s]."""
+        return replace(self, omega=omega, cut=responses(self.plant, self.feedback, omega))
 
     def steps(self, seconds: float) -> tuple[Array, Array]:
         """Times (N,), and (N, m) the position of each joint after a unit step of its own reference."""

@@ -13,7 +13,7 @@ from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
-from hydroopt.control.tuning import SENSITIVITY
+from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.model.hanging import Hanging
@@ -60,6 +60,11 @@ class Setting:
     sensitivity: float = SENSITIVITY
     gain: float = 1.0
     bias: Array | None = None
+
+    @property
+    def complementary_sensitivity(self) -> float:
+        """The largest complementary sensitivity for which gains are tuned."""
+        return COMPLEMENTARY_SENSITIVITY
 
     @cached_property
     def t(self) -> Array:

@@ -11,6 +11,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from hydroopt.plots.figures import BLUE, GREEN, GREY, ORANGE, STYLE, WIDTH
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 SECONDS = 5.0
 """Length of a step response."""
-COLUMNS = ("gain", "phase [deg]", "Nyquist", "step of the reference", "poles and zeros")
+COLUMNS = ("gain [dB]", "phase [deg]", "Nyquist", "step of the reference", "poles and zeros")
 
 
 def loops(comparison: Comparison) -> Figure:
@@ -63,10 +64,12 @@ def loops(comparison: Comparison) -> Figure:
 def _cut(row: tuple[Axes, ...], at: Loops, k: int, colour: str, label: str) -> None:
     gain, phase, nyquist = row
     hertz, L = at.omega / (2 * np.pi), at.cut[k]
-    gain.loglog(hertz, np.abs(L), color=colour, label=f"{label}, {at.point}")
+    gain.semilogx(hertz, 20 * np.log10(np.maximum(np.abs(L), 1e-300)), color=colour, label=f"{label}, {at.point}")
     phase.semilogx(hertz, np.degrees(np.unwrap(np.angle(L))), color=colour)
     nyquist.plot(L.real, L.imag, color=colour)
-    gain.axhline(1, color=GREY, ls="--")
+    gain.axhline(0, color=GREY, ls="--")
+    gain.yaxis.set_major_locator(MaxNLocator(5, steps=[2, 4, 10]))
+    phase.yaxis.set_major_locator(MultipleLocator(180))
     phase.axhline(-180, color=GREY, ls="--")
     nyquist.set(xlim=(-2, 1), ylim=(-1.5, 1.5), aspect="equal")
 

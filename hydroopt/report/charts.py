@@ -115,6 +115,7 @@ class Curves:
         bands: look, lower and upper edge (N,) of shaded bands.
         logarithmic: whether the axis of `x`, and that of values, is.
         dots: whether values are dots instead of lines.
+        ticks: numbers at the axis of values are multiples of this one; 0 for any.
     """
 
     title: str
@@ -126,6 +127,7 @@ class Curves:
     bands: tuple[tuple[str, Array, Array], ...] = ()
     logarithmic: tuple[bool, bool] = (False, False)
     dots: bool = False
+    ticks: float = 0.0
     kind: ClassVar[str] = "curves"
 
 

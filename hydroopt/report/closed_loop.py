@@ -49,6 +49,7 @@ def render(comparison: Comparison) -> str:
         machine=machine,
         diagnostics=comparison.diagnostics, origin=comparison.source,
         truth=setting.true.text, rate=plain(setting.rate),
+        complement=plain(setting.complementary_sensitivity),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
@@ -85,7 +86,8 @@ def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
         for key, points in (("gain", on_the_way), ("phase", on_the_way), ("gain", ()), ("phase", ())):
             found = outcome.worst(name, key, points)
             value = 20 * np.log10(found.gain) if key == "gain" else np.degrees(found.phase)
-            cells.append(f"{plain(float(value), 3)} ({found.point})" if np.isfinite(value) else NONE)
+            hertz = plain(float(getattr(found, f"{key}_at")) / (2 * np.pi), 2)
+            cells.append(f"{plain(float(value), 3)} at {hertz} Hz ({found.point})" if np.isfinite(value) else NONE)
         for key in ("disk", "damping"):
             found = outcome.worst(name, key)
             cells.append(f"{plain(float(getattr(found, key)), 2)} ({found.point})")
@@ -151,25 +153,27 @@ def _bode(comparison: Comparison) -> list[Curves]:
         gains, phases = [], []
         for outcome, look in shown:
             L = outcome.loops.cut[k]
-            gains.append((_label(outcome), look, np.abs(L)))
+            gains.append((_label(outcome), look, 20 * np.log10(np.maximum(np.abs(L), 1e-300))))
             phases.append((_label(outcome), look, np.degrees(np.unwrap(np.angle(L)))))
-        made += [Curves(f"{each.actuator.name}: gain of the loop", "frequency [Hz]", hertz, tuple(gains),
-                        limits=(1.0,), logarithmic=(True, True)),
+        made += [Curves(f"{each.actuator.name}: gain of the loop [dB]", "frequency [Hz]", hertz, tuple(gains),
+                        limits=(0.0,), logarithmic=(True, False), ticks=20.0),
                  Curves(f"{each.actuator.name}: phase [deg]", "frequency [Hz]", hertz, tuple(phases),
-                        limits=(-180.0,), logarithmic=(True, False))]
+                        limits=(-180.0,), logarithmic=(True, False), ticks=90.0)]
     return made
 
 
 def _nyquist(comparison: Comparison) -> list[Plane]:
-    """Nyquist curves of the same loops, with the circle that the sensitivity keeps them out of."""
+    """Nyquist curves of the same loops, with the circles that both sensitivities keep them out of."""
     made, radius = [], 1 / comparison.setting.sensitivity
+    square = comparison.setting.complementary_sensitivity**2
+    circles = ((-1.0, 0.0, radius), (-square / (square - 1), 0.0, np.sqrt(square) / (square - 1)))
     for k, each in enumerate(comparison.setting.plant.actuators):
         curves = [(outcome, look, outcome.loops.cut[k]) for outcome, look in _shown(comparison)]
         nearest = "; ".join(f"{_label(outcome)}: nearest to −1 by {plain(float(np.min(np.abs(1 + L))), 3)}"
                          for outcome, _, L in curves)
         title = f"{each.actuator.name}: Nyquist curve"
         made.append(Plane(title, "real part", "imaginary part", NEAR, tuple(
-            (_label(outcome), look, L.real, L.imag) for outcome, look, L in curves), circles=((-1.0, 0.0, radius),),
+            (_label(outcome), look, L.real, L.imag) for outcome, look, L in curves), circles=circles,
             alt=f"{title}, with a circle of radius {plain(radius, 3)} about −1. {nearest}."))
     return made
 

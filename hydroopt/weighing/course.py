@@ -34,6 +34,8 @@ GOES_ON = 12.0
 """Likelihood ratio from which a change goes on."""
 NOTICED = 0.02
 """Change of the mass, as a part of the full scale, below which it is none."""
+EMPTY = 0.005
+"""Standard deviation, as a part of the full scale, of the mass of a machine that was tared and has not been loaded."""
 OVERLOAD = 2.0
 """Mass, as a part of the full scale, from which it is impossible."""
 
@@ -99,7 +101,7 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
         noticeable = np.inf
         if i >= start:
             noticeable = sought.take(i)
-            found = sought.solved()
+            found = sought.solved((0.0, EMPTY * full_scale) if taring and number == 0 else None)
         shows = min(1.0, (NOTICED * full_scale / noticeable) ** 2)
         shown = min(1.0, (1 - FORGOTTEN) * shown + shows)
         resting, settled, calm = 0 if shown >= 1 else resting + 1, settled + shows, calm + (i >= start)

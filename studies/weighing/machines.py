@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hydroopt import Log, Model, random_trajectory, random_truth
 from hydroopt.logs import sensors
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.kinematics import gravity_in_base
-from hydroopt.simulation.simulate import BACK_PRESSURE, Trajectory
+from hydroopt.simulation.simulate import BACK_PRESSURE, Trajectory, forces
 from hydroopt.spatial.inertia import Array, from_centre_of_mass
 
 RATE = 50.0
@@ -18,8 +19,53 @@ CALIBRATION = 60.0
 """Rate [Hz] of all logs, and duration [s] of the one that calibrates."""
 LOAD_FRICTION = 0.01
 """Standard deviation of the friction per force, of which the absolute value counts."""
-LINK, PIN = "stick", (1.8, 0.0, 0.0)
-"""What carries the load, and where it hangs [m]."""
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """A bundled machine that weighs: the link that carries, where the load's centre is expected there [m], largest load
+    [kg]."""
+
+    machine: str
+    link: str
+    centre: tuple[float, float, float]
+    full_scale: float
+
+
+CAT = Carrier("cat215b", "stick", (1.8, 0.0, 0.0), 2500.0)
+OTHERS = (Carrier("excavator_bucket", "bucket", (0.85, 0.4, 0.0), 2500.0),
+          Carrier("wheel_loader", "bucket", (0.42, 0.28, 0.0), 1500.0),
+          Carrier("backhoe", "bucket", (0.5, 0.2, 0.0), 600.0))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What pressures do besides the white errors of their sensors.
+
+    Attributes:
+        pulsation: amplitude of a sine in all chambers [Pa], its frequency drawn from 2 to 6 Hz, as a pump's strokes
+            and valves make it.
+        memory: time constant of the sensor's errors [s], which then are a first-order process of the same size.
+        wander: standard deviation of a random walk of each zero after a minute [Pa].
+    """
+
+    pulsation: float = 0.0
+    memory: float = 0.0
+    wander: float = 0.0
+
+    def of(self, t: Array, std: float, rng: np.random.Generator, pulses: Array) -> Array:
+        """(N,) error of one chamber's reading [Pa], white errors apart."""
+        error = self.pulsation * pulses
+        if self.memory:
+            kept = np.exp(-(t[1] - t[0]) / self.memory)
+            error = error + lfilter([std * np.sqrt(1 - kept**2)], [1, -kept], rng.standard_normal(len(t)))
+        if self.wander:
+            steps = rng.standard_normal(len(t)) * self.wander * np.sqrt((t[1] - t[0]) / 60)
+            error = error + np.cumsum(steps)
+        return error
+
+
+WHITE = Noise()
 
 
 @dataclass(frozen=True)
@@ -29,9 +75,10 @@ class Session:
     Attributes:
         motion: of the joints.
         mass: (N,) of the load [kg].
-        centre: (3,) of the load from `PIN` [m].
-        slope: roll and pitch of the base [rad].
+        centre: (3,) of the load from where it is expected [m].
+        slope: roll and pitch of the base [rad]; none where several actuators share a balance.
         drift: standard deviation of each pressure's zero since the calibration [Pa].
+        noise: of the pressures.
     """
 
     motion: Trajectory
@@ -39,54 +86,65 @@ class Session:
     centre: Array
     slope: tuple[float, float] = (0.0, 0.0)
     drift: float = 0.0
+    noise: Noise = WHITE
 
 
 @dataclass(frozen=True)
 class SimulatedMachine:
     """A machine's truth: its parameters ψ (p,) and its friction per force (r,)."""
 
+    carrier: Carrier
     model: Model
     psi: Array
     load_friction: Array
 
     @classmethod
-    def drawn(cls, model: Model, seed: int) -> SimulatedMachine:
+    def drawn(cls, carrier: Carrier, model: Model, seed: int) -> SimulatedMachine:
         """A machine drawn from the file's confidences."""
         rng = np.random.default_rng([seed, 1])
-        friction = np.abs(rng.normal(0.0, LOAD_FRICTION, len(model.machine.balances)))
-        return cls(model, random_truth(model, seed), friction)
+        friction = np.abs(rng.normal(0.0, LOAD_FRICTION, len(model.machine.measured_actuators)))
+        return cls(carrier, model, random_truth(model, seed), friction)
 
-    def calibration(self, seed: int) -> Log:
+    def calibration(self, seed: int, noise: Noise = WHITE) -> Log:
         """The log without load that identifies the machine, on level ground."""
         motion = random_trajectory(self.model, duration=CALIBRATION, rate=RATE, seed=seed)
-        return self.log(Session(motion, np.zeros(len(motion.t)), np.zeros(3)), seed, "calibration")
+        return self.log(Session(motion, np.zeros(len(motion.t)), np.zeros(3), noise=noise), seed, "calibration")
 
     def log(self, session: Session, seed: int, name: str = "weighing") -> Log:
         """What the sensors record of a session."""
         model, machine, motion = self.model, self.model.machine, session.motion
         rng = np.random.default_rng([seed, 2])
         body = from_centre_of_mass(1.0, session.centre, [0.05, 0, 0, 0.05, 0, 0.05])
-        psi = self.psi + np.outer(session.mass, carried_load(model, LINK, PIN) @ body)
-        force = model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, psi)[0][:, :, 0]
+        load = carried_load(model, self.carrier.link, self.carrier.centre) @ body
+        places = [machine.actuators.index(each) for each in machine.measured_actuators]
+        force = forces(model, motion, self.psi)
+        if session.mass.any():
+            force = force + session.mass[:, None] * (forces(model, motion, self.psi + load) - force)
+        force = force[:, places]
         roll, pitch = session.slope
-        g = np.asarray(gravity_in_base(machine)).ravel()
-        tilted = machine.gravity * np.array([np.sin(pitch), -np.cos(pitch) * np.sin(roll),
-                                             -np.cos(pitch) * np.cos(roll)])
-        force += model.over(model.gravity_forces, motion.q, psi)[0] @ (tilted - g)
-        arms = model.over(model.transmission, motion.q)[0]
-        speed = np.einsum("naj,nj->na", arms, motion.qd)
-        force += self.load_friction * np.abs(force) * np.sign(speed)
+        if roll or pitch:  # balances are the actuators' forces
+            g = np.asarray(gravity_in_base(machine)).ravel()
+            tilted = machine.gravity * np.array([np.sin(pitch), -np.cos(pitch) * np.sin(roll),
+                                                 -np.cos(pitch) * np.cos(roll)])
+            psi = self.psi + np.outer(session.mass, load)
+            force = force + model.over(model.gravity_forces, motion.q, psi)[0] @ (tilted - g)
+        speed = np.einsum("naj,nj->na", model.over(model.transmission, motion.q)[0][:, places], motion.qd)
+        force = force + self.load_friction * np.abs(force) * np.sign(speed)
         channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
-        for k, actuator in enumerate(machine.actuators):
+        for k, actuator in enumerate(machine.measured_actuators):
             area, other, pushing, pulling = (*actuator.areas, *actuator.chambers)
             back = BACK_PRESSURE * (1 + 2 * rng.random())
             forward = force[:, k] + other * back > area * back
             channels[pushing] = np.where(forward, (force[:, k] + other * back) / area, back)
             channels[pulling] = np.where(forward, back, (area * back - force[:, k]) / other)
+        phase, hertz = rng.uniform(0, 2 * np.pi), rng.uniform(2, 6)
+        pulses = np.sin(2 * np.pi * hertz * motion.t + phase)
         for channel, values in channels.items():
-            sensor = machine.sensor(channel)
-            zero = 0.0 if channel.endswith(".q") else rng.normal(0.0, session.drift or 1e-300)
-            channels[channel] = sensors.measure(values + zero, sensor.accuracy, sensor.resolution, rng,
+            sensor, pressure = machine.sensor(channel), not channel.endswith(".q")
+            zero = rng.normal(0.0, session.drift or 1e-300) if pressure else 0.0
+            extra = session.noise.of(motion.t, sensor.std, rng, pulses) if pressure else 0.0
+            white = 0.0 if pressure and session.noise.memory else sensor.accuracy
+            channels[channel] = sensors.measure(values + zero + extra, white, sensor.resolution, rng,
                                                 sensor.distribution)
         return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
 

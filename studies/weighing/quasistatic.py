@@ -14,7 +14,7 @@ from hydroopt import Log
 from hydroopt.model.carried_load import carried_load
 from hydroopt.spatial.inertia import from_centre_of_mass
 from hydroopt.weighing.smoothed_log import smoothed_log
-from studies.weighing.machines import LINK, PIN, SimulatedMachine
+from studies.weighing.machines import SimulatedMachine
 
 GRID = 15
 """Number of angles of each joint."""
@@ -34,7 +34,8 @@ class QuasistaticScale:
         q = np.column_stack([0 * boom, boom, stick])
         qd = np.zeros_like(q)
         qd[:, BOOM] = -SLOW  # lifting
-        body = carried_load(model, LINK, PIN) @ from_centre_of_mass(1.0, np.zeros(3), np.zeros(6))
+        carrier = machine.carrier
+        body = carried_load(model, carrier.link, carrier.centre) @ from_centre_of_mass(1.0, np.zeros(3), np.zeros(6))
         tables = []
         for mass in (0.0, weight):
             force = model.over(model.inverse_dynamics, q, qd, 0 * q, machine.psi + mass * body)[0][:, BOOM, 0]

@@ -13,13 +13,16 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
-from fixtures.library import NOT_FINITE, OK, OUT_OF_RANGE
+from fixtures import scale_fuzz
+from fixtures.library import NOT_FINITE, OK, OUT_OF_RANGE, write
 from fixtures.tiers import tiered
+from fixtures.tools import must
 from hydroopt.codegen.scale_code import scale_code
 from hydroopt.codegen.scale_tables import ScaleTables
+from hydroopt.weighing.calibrated_scale import scale
 from hydroopt.weighing.course import Weighable, course
 from hydroopt.weighing.equations import equations
-from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain, scale
+from hydroopt.weighing.scale import Scale, Uncertain
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.weighing import learned
 from studies.weighing.machines import RATE
@@ -41,8 +44,8 @@ STRICT = [
 ]
 KNOWN_LOAD = " after a known load"
 LOADS = {
-    "cat215b": (CarriedLoad("stick", (1.8, 0.0, 0.0), (0.05, 0.05, 0.05), 2500.0), 900.0),
-    "patu655_lift": (CarriedLoad("lift", (3.0, 0.0, 0.0), (0.05, 0.05, 0.05), 1000.0), 400.0),
+    "cat215b": (scale_fuzz.LOADS["cat215b"], 900.0),
+    "patu655_lift": (scale_fuzz.LOADS["patu655_lift"], 400.0),
 }
 LOADS |= {name + KNOWN_LOAD: each for name, each in LOADS.items()}
 TARE = 10.0
@@ -322,6 +325,51 @@ def test_stale_and_mismatched_parameters_are_refused(tmp_path: Path) -> None:
         check=False,
     )
     assert b"#error" in refused.stderr
+
+
+BUILDS = {
+    "sanitizers": ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"),
+    "-O3": ("-O3",),
+    "unsafe": ("-O2", "-funsafe-math-optimizations"),
+    "associative": ("-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math", "-freciprocal-math"),
+}
+"""Flags of compilers; the last two are those that change arithmetic and keep infinities and NaN."""
+
+
+@pytest.fixture(scope="module")
+def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    home = tmp_path_factory.mktemp("fuzzed")
+
+    @cache
+    def folder(real: str) -> Path:
+        made = scale_fuzz.identified("patu655_lift", real)
+        place = write(made.files() | {"fuzz.c": scale_fuzz.driver(made)}, home / real)
+        (place / f"{made.name}_selftest.c").unlink()
+        return place
+
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flags", "compiler"), [("sanitizers", "gcc"), *((flags, compiler) for flags in [*BUILDS][1:]
+                                                     for compiler in ("gcc", "clang"))]
+)
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_random_samples_show_a_status_and_a_mass_that_fits_it(
+    flags: str, real: str, compiler: str, fuzzed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Whatever it is fed: a refused sample shows no mass, numbers are finite, and a mass that counts is one."""
+    sources = sorted(fuzzed(real).glob("*.c"))
+    must([compiler, "-std=c99", *BUILDS[flags], "-o", "fuzz", *sources, "-lm"], tmp_path)
+    rows = [line.split() for line in must(["./fuzz"], tmp_path).splitlines()]
+    assert [row[0] for row in rows] == list(scale_fuzz.MODES)
+    for mode, _, *counts in rows:
+        status, wrong = [int(word) for word in counts[: counts.index("shown")]], counts[-1]
+        assert wrong == "0", (mode, counts)
+        assert sum(status) == scale_fuzz.SAMPLES // len(scale_fuzz.MODES)
+        assert status[NOT_FINITE] > 0 or mode != "bad"
+        assert status[OK] > 0
 
 
 def test_all_it_needs_on_a_controller_is_measured() -> None:

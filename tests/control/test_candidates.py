@@ -218,8 +218,8 @@ def test_what_a_valve_takes_from_a_margin_is_what_it_takes_from_the_machine(exac
 
 def test_loops_are_drawn_in_notebooks(exact_feedforward: Comparison) -> None:
     figure = exact_feedforward.plot.loops()
-    assert [ax.get_title("left") for ax in figure.axes] == ["gain", "phase [deg]", "Nyquist", "step of the reference",
-                                                      "poles and zeros"]
+    assert [ax.get_title("left") for ax in figure.axes] == ["gain [dB]", "phase [deg]", "Nyquist",
+                                                            "step of the reference", "poles and zeros"]
     t, y = exact_feedforward.winner.loops.steps(30.0)
     assert y[-1, 0] == pytest.approx(1.0, abs=0.03)
     assert t[-1] == pytest.approx(30.0)

