@@ -218,7 +218,8 @@ def summary(some: list[Outcome]) -> dict[str, Any]:
             "largest error in deviations": round(float(np.max(z)), 2),
             "found within 1.5 s": round(float(np.mean(delay <= 1.5)), 3),
             "largest delay [s]": round(float(np.max(delay)), 2),
-            "masses shown that are wrong": round(sum(each.wrong for each in some) / sum(each.good for each in some), 4),
+            "masses shown that are wrong": round(
+                float(sum(each.wrong for each in some)) / max(sum(each.good for each in some), 1), 4),
             "false alarms": int(sum(each.alarms for each in some))}
 
 
