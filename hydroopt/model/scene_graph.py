@@ -17,12 +17,20 @@ from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.springs import Pinned
 from hydroopt.spatial import inertia
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, roll_pitch_yaw
 
 Point = tuple[str, tuple[float, float, float]]
 """A body's name, and coordinates (3,) [m] in its frame."""
 
+POSTURES = 60
+"""Postures over which the travel of dependent slides is found."""
+CARRIED = 0.05
+"""A slide whose centre of mass lies further back than this part of its travel is a section that moves in the link
+before; any other one runs on a rail of that link."""
+OVERLAP = 1.1
+"""Length of such a section over its travel."""
 JAVASCRIPT = {"fabs": "Math.abs", "fmin": "Math.min", "fmax": "Math.max"}
 """Operations whose names in JavaScript are not those in C."""
 
@@ -31,8 +39,9 @@ class SceneBody(NamedTuple):
     """A link: `seat` (4, 4) is its frame P_i where its joint stands at zero, in its parent's frame.
 
     The joint moves it about or along the z axis of P_i by the entry `column` of the tree's joints, None if locked.
-    `points` (k, 3) [m] are what the link joins, in P_i; `com` (3,) is its centre of mass, None without a body, and
-    among the points of a link that joins nothing else.
+    `points` (k, 3) [m] are what the link joins, in P_i, with the ends of rails that it carries; `section` (2, 3) [m] is
+    the part of a telescope that moves in the link before, None elsewhere. `com` (3,) is its centre of mass, None
+    without a body, and among the points of a link that joins nothing else.
     """
 
     name: str
@@ -42,6 +51,7 @@ class SceneBody(NamedTuple):
     column: int | None
     points: Array
     com: Array | None
+    section: Array | None = None
 
 
 class Strut(NamedTuple):
@@ -126,15 +136,42 @@ class SceneGraph:
             joined[link.name].append(_point(self.geometry.far_end(link.name).origin))
             joined[link.parent] += [seats[link.name][:3, 3].tolist(),
                                     _point(self.geometry.seat(link.name).origin)]
-        self._on_base = np.array(joined[BASE]).reshape(-1, 3)
         centres = {link.name: inertia.centre_of_mass(link.body.phi) for link in self._links if link.body is not None}
+        sections: dict[str, Array] = {}
+        pinned = {body for body, _ in ends} | {self.tip[0], *centres}
+        for link in self._links:
+            if link.joint.type == "prismatic" and (link.name in pinned or np.any(joined[link.name])):
+                lower, upper = self._travel[link.name]
+                centre = centres.get(link.name)
+                if centre is not None and centre[2] < -CARRIED * (upper - lower):
+                    sections[link.name] = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -OVERLAP * (upper - lower)]])
+                else:
+                    joined[link.parent] += [(seats[link.name] @ [0.0, 0.0, at, 1.0])[:3].tolist()
+                                            for at in (lower, upper)]
+        self._on_base = np.array(joined[BASE]).reshape(-1, 3)
+        fixed = {link.parent for link in self._links if not link.joint.moving and np.any(joined[link.name])}
         for name, centre in centres.items():
-            if centre is not None and not np.any(joined[name]):  # as a robot's last link
+            if centre is not None and not np.any(joined[name]) and name not in fixed:  # as a robot's last link
                 joined[name].append(centre.tolist())
         return tuple(SceneBody(
             link.name, link.parent, seats[link.name], link.joint.type,
             self.columns.index(link.name) if link.joint.moving else None,
-            np.unique(np.round(joined[link.name], 9), axis=0), centres.get(link.name)) for link in self._links)
+            np.unique(np.round(joined[link.name], 9), axis=0), centres.get(link.name), sections.get(link.name))
+            for link in self._links)
+
+    @cached_property
+    def _travel(self) -> dict[str, tuple[float, float]]:
+        """Least and greatest position of each joint; of dependent ones over even postures of the others."""
+        found = {link.name: link.joint.range for link in self._links if link.joint.independent}
+        if dependent := [joint for joint in self.machine.tree_joints if joint not in found]:
+            ranges = np.array([found[joint] for joint in self.machine.joints])
+            share = np.vstack([np.zeros(len(ranges)), np.ones(len(ranges)), halton(len(ranges), POSTURES)])
+            tree = self.tree_positions(ranges[:, 0] + share * np.ptp(ranges, axis=1))
+            tree = tree[np.all(np.isfinite(tree), axis=1)]
+            for joint in dependent if len(tree) else ():
+                at = tree[:, self.columns.index(joint)]
+                found[joint] = (float(np.min(at)), float(np.max(at)))
+        return {joint: found.get(joint, (0.0, 0.0)) for joint in self.columns}
 
     @property
     def tip(self) -> Point:

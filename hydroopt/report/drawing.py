@@ -123,7 +123,8 @@ class Drawing:
 
     def description(self, machine: str, how: str) -> str:
         """A view from the side in words."""
-        by = {kinds: [part.name for part in self.first.parts if part.kind in kinds] for kinds in (("link",), STRUTS)}
+        by = {kinds: dict.fromkeys(part.name for part in self.first.parts if part.kind in kinds)
+              for kinds in (("link",), STRUTS)}
         (left, bottom), (right, top) = ([plain(float(x), 3) for x in corner] for corner in self.corners)
         struts = f" with {', '.join(by[STRUTS])} between pins" if by[STRUTS] else ""
         return (f"The machine {machine} from the side, {how}: links {', '.join(by['link',])}{struts}, within {left} to "
@@ -200,7 +201,8 @@ def _posture(graph: SceneGraph, tree: dict[str, float], view: View) -> Posture:
         local = np.asarray(points, dtype=float).reshape(-1, 3)
         return np.asarray(local @ poses[body][:3, :3].T + poses[body][:3, 3])
 
-    bodies = [(world(body.name, body.points), body.name, "link") for body in graph.bodies]
+    bodies = [(world(body.name, points), body.name, "link") for body in graph.bodies
+              for points in (body.points, body.section) if points is not None]
     if len(graph.on_base):
         bodies.append((world(BASE, [[0.0, 0.0, 0.0], *graph.on_base]), BASE, "chassis"))
     bodies.sort(key=lambda body: round(view.nearness(body[0]), 6))

@@ -106,6 +106,7 @@ class SceneView:
             "base": graph.base.ravel().tolist(), "onBase": graph.on_base.tolist(),
             "bodies": [{"name": body.name, "parent": body.parent, "seat": body.seat[:3].ravel().tolist(),
                         "joint": body.joint, "column": body.column, "points": body.points.tolist(),
+                        "section": None if body.section is None else body.section.tolist(),
                         "com": None if body.com is None else body.com.tolist()} for body in graph.bodies],
             "struts": [{**strut._asdict(), "start": _point(strut.start), "end": _point(strut.end)}
                        for strut in graph.struts],

@@ -10,7 +10,7 @@ import pytest
 from fixtures.tiers import machines
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
-from hydroopt.model.scene_graph import SceneGraph
+from hydroopt.model.scene_graph import SceneBody, SceneGraph
 from hydroopt.report.samples import Recording, joined, kept, packed, unpacked
 from hydroopt.report.scene import SceneView
 
@@ -90,3 +90,30 @@ def test_of_long_recordings_the_worst_samples_are_kept() -> None:
     rows = kept(len(values), 50, np.abs(values))
     assert len(rows) <= 2001 + 1
     assert {0, 12_345, 77_777, 99_999} <= set(rows.tolist())
+
+
+@pytest.mark.parametrize("name", ["scissor_lift", "forestry_crane", "knuckle_boom_crane", "tampere_manipulator"])
+def test_slides_touch_what_carries_them(name: str) -> None:
+    """Sections of telescopes, shoes and rollers are drawn in contact with the link before, wherever they stand."""
+    graph = SceneGraph(load_machine(name))
+    bodies = {body.name: body for body in graph.bodies}
+    low, high = np.array([graph.machine.link(joint).joint.range for joint in graph.machine.joints]).T
+    drawn = np.vstack([low, high, np.random.default_rng(2).uniform(low, high, (8, len(low)))])
+    slides = [body for body in graph.bodies if body.joint == "prismatic"]
+    assert slides
+    for row in graph.tree_positions(drawn):
+        poses = graph.poses(dict(zip(graph.columns, row, strict=True)))
+
+        def lines(body: SceneBody, poses: dict[str, np.ndarray] = poses) -> np.ndarray:
+            """Points (k, 3) on all lines between what a body joins."""
+            found = [[body.points[i], body.points[j]] for i in range(len(body.points)) for j in range(i + 1)]
+            found += [] if body.section is None else [list(body.section)]
+            ends = np.array(found) @ poses[body.name][:3, :3].T + poses[body.name][:3, 3]
+            along: np.ndarray = ends[:, :1] + np.linspace(0, 1, 400)[:, None] * (ends[:, 1:] - ends[:, :1])
+            return along.reshape(-1, 3)
+
+        for slide in slides:
+            carrier = lines(bodies[slide.parent])
+            own = lines(slide)[:: 1 if slide.section is None else 10]
+            apart = min(np.min(np.linalg.norm(carrier - at, axis=1)) for at in own)
+            assert apart < 0.01, slide.name

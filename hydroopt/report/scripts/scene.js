@@ -32,7 +32,8 @@ const view = machine && (() => {
   const middle = () => scene.joints.map((joint) => (joint.lower + joint.upper) / 2);
   const start = scene.replayed.length ? machine.jointsAt(0) : middle();
   const first = machine.poses(start);
-  const corners = [...scene.bodies.flatMap((body) => body.points.map((at) => machine.place(first, { body: body.name, at }))),
+  const reach = (body) => [...body.points, ...(body.section || [])];
+  const corners = [...scene.bodies.flatMap((body) => reach(body).map((at) => machine.place(first, { body: body.name, at }))),
     ...scene.onBase.map((at) => machine.place(first, { body: "base", at })), ...scene.marks.filter((m) => m.kind !== "obstacle")
       .map((mark) => machine.place(first, mark)), [0, 0, 0]].filter((at) => at.every(Number.isFinite));
   const bounds = new THREE.Box3().setFromPoints(corners.map((at) => new THREE.Vector3(...at)));
@@ -41,7 +42,7 @@ const view = machine && (() => {
   const some = scene.replayed.length ? [...Array(40).keys()].map((k) => machine.jointsAt(Math.round(k * clock.last / 39)))
     : scene.joints.flatMap((joint, k) => [joint.lower, joint.upper].map((limit) => start.map((at, j) => j === k ? limit : at)));
   const heights = some.filter(machine.closed).map(machine.poses).flatMap((poses) => scene.bodies.flatMap(
-    (body) => body.points.map((at) => machine.place(poses, { body: body.name, at })[2])));
+    (body) => reach(body).map((at) => machine.place(poses, { body: body.name, at })[2])));
   const lowest = Math.min(bounds.min.z, ...heights);
 
   // --- materials, whose colours follow the look of the page ---
@@ -77,7 +78,7 @@ const view = machine && (() => {
   for (const [k, body] of scene.bodies.entries()) {
     const own = material("link").clone();
     tinted[body.name] = { material: own, plain: "link", shade: [1, 0.84, 1.14][k % 3] };
-    hull(body.name, body.points, own, 0.24 + 0.11 * (k % 3));
+    for (const points of [body.points, body.section || []]) if (points.length) hull(body.name, points, own, 0.24 + 0.11 * (k % 3));
     placed(body.name).add(new THREE.Mesh(pinShape, material("pin")));
     if (body.com) {
       const ball = new THREE.Mesh(new THREE.SphereGeometry(0.8 * thick, 20, 14), material("com"));
