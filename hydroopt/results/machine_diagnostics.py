@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hydroopt.machine.cylinder_checks import straight_and_wide
+from hydroopt.machine.idle_linkages import idle_linkages
 from hydroopt.machine.mechanism import branches
 from hydroopt.machine.posture import turns
 from hydroopt.machine.unmeasured_joints import unmeasured_joints
@@ -33,7 +34,7 @@ def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
     ()
     """
     return (*_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model), *implausible_sizes(model),
-            *_straight_cylinders(model), *_unclear_postures(model))
+            *_straight_cylinders(model), *_idle_linkages(model), *_unclear_postures(model))
 
 
 def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
@@ -68,6 +69,12 @@ def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
 def _straight_cylinders(model: Model) -> Iterator[Diagnostic]:
     for name, width in straight_and_wide(model.machine):
         yield Diagnostic(Kind.STRAIGHT_CYLINDER, (name,), {"range_deg": float(np.degrees(width))})
+
+
+def _idle_linkages(model: Model) -> Iterator[Diagnostic]:
+    for each in idle_linkages(model.machine):
+        yield Diagnostic(Kind.LINKAGE_IDLE, (each.loop,), {
+            "cylinder": each.cylinder, "moves": each.moves, "bars": " and ".join(each.bars)})
 
 
 def _unclear_postures(model: Model) -> Iterator[Diagnostic]:

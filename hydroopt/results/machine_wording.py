@@ -24,6 +24,9 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "{subject} is pinned to the link itself and turns it by {range_deg:.0f} deg. Where a joint turns as far, a "
         "rocker and a coupler mostly stand between; left out, they make lever arms wrong by up to a fifth.",
         "If the machine has them, state them by [[linkages]] and pin the rod to the rocker."),
+    Kind.LINKAGE_IDLE: Words(
+        "The linkage {subject} carries nothing: {cylinder} is pinned to {moves} itself and passes {bars} by.",
+        "If the linkage moves {moves}, pin the cylinder to one of its bars; if it only follows, nothing is wrong."),
     Kind.BETWEEN_BRANCHES: Words(
         "The posture of {subject} lies between the two ways to assemble it: {near} from the one that is taken and "
         "{far} from the other.",

@@ -44,6 +44,7 @@ class Kind(StrEnum):
     GRAVITY_IDLE = "gravity does no work"
     UNMEASURED_JOINT = "forces at a joint not measured"
     IMPLAUSIBLE_SIZE = "implausible size"
+    LINKAGE_IDLE = "a cylinder passes a linkage by"
     STRAIGHT_CYLINDER = "a cylinder without a linkage turns a joint far"
     BETWEEN_BRANCHES = "a posture lies between two ways to assemble a loop"
 

@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
+from hydroopt.machine.idle_linkages import idle_linkages
 from hydroopt.machine.machine_file import bundled, dump_machine
 from hydroopt.machine.mechanism import branches
 from hydroopt.results.diagnostic import of_kind
@@ -108,3 +109,14 @@ def test_a_posture_between_two_ways_of_assembly_is_named_with_its_margin(off: fl
     if named:
         assert float(found[0].evidence["near"].split()[0]) == pytest.approx(off * (other - taken), abs=0.2)
         assert found[0].remedy.endswith("rocker = 80.0 deg.")
+
+
+@pytest.mark.parametrize("name", ["excavator_bucket", "cat215b_bucket"])
+def test_a_cylinder_that_passes_a_linkage_by_is_named(name: str) -> None:
+    """The bucket's linkage as loops by hand, with the cylinder on the bucket itself instead of the rocker."""
+    machine = ho.load_machine(name)
+    past = tuple(each.model_copy(update={"rod": each.rod.model_copy(update={"link": "bucket"})})
+                 if each.rod.link == "rocker" else each for each in machine.cylinders)
+    found, = idle_linkages(machine.model_copy(update={"cylinders": past}))
+    assert (found.moves, found.bars) == ("bucket", ("rocker", "coupler"))
+    assert found.cylinder == next(each.name for each in past if each.rod.link == "bucket")
