@@ -122,7 +122,7 @@ class ScaleTables:
 
     @cached_property
     def constants(self) -> Mapping[str, Array]:
-        """Arrays of the smoothing, and the joint of each measured force."""
+        """Arrays of the smoothing, and the joint that each measured force is about."""
         taus, shares = zip(*self.kernel.nodes, strict=True)
         return {"joint_of": np.array(self.scale.model.dynamics.kept, dtype=np.int64),
                 "weights": self.kernel.weights, "node_share": np.array(shares),
@@ -168,7 +168,7 @@ class ScaleTables:
         """Bytes of the state between calls."""
         n, r, c, window = len(self.scale.angle_std), self.rows, self.scale.count, (self.lags + 1) * self.rows
         columns, left = c + 11 + self.recent, 1 + self.recent
-        reals = 13 + self.tape * (1 + 4 * n + 2 * r) + (2 * self.kernel.margin + 1) * (n + r) + c * (c + 3) + 10
+        reals = 13 + self.tape * (1 + 6 * n + r) + (2 * self.kernel.margin + 1) * (n + r) + c * (c + 3) + 10
         reals += (c + 10) * columns + 3 * left + window * (columns + window + 4 * n)
         size = (4 if single else 8) * reals + 4 * (21 + window)
         return size if single else -(-size // 8) * 8

@@ -24,16 +24,16 @@ def tilted_regressor(api: Symbols) -> Routine:
         return dynamics.at_balances(dynamics.gravity_torques(psi, acceleration))
 
     K = dynamics.regressor(psi) + ca.jacobian(heavy(gravity - gravity_in_base(machine)), psi)
-    arms = dynamics.transmission
-    lever = [arms[machine.actuators.index(balance.alone), joint] if balance.alone is not None else ca.SX(1)
-             for balance, joint in zip(machine.balances, dynamics.kept, strict=True)]
+    of_joint = ca.SX.eye(len(machine.joints))
+    lever = [dynamics.transmission[machine.actuators.index(balance.alone), :] if balance.alone is not None
+             else of_joint[joint, :] for balance, joint in zip(machine.balances, dynamics.kept, strict=True)]
     gives = api.struct("tilted_regressor", "Forces on a slope.",
                        api.per_row("K", "row for each {row}, column for each parameter", "psi",
                                    unit="N or N*m per unit of psi"),
                        api.per_row("by_gravity", "derivative of the force of each {row} by gravity x, y, z", 3,
                                    unit="N or N*m per m/s^2"),
-                       api.per_row("lever", "change of the actuator's length or angle with the joint that each {row} "
-                                   "is about; 1 where several move it", unit="m/rad or 1"))
+                       api.per_row("lever", "change of each {row}'s length or angle with each joint; of a joint that "
+                                   "several move, its own", "joint", unit="m/rad or 1"))
     return Routine("tilted_regressor", "Regressor under a gravity, and the derivative of the forces by gravity with "
                    "`loaded_psi`.", _tilted_motion(api), ("q", "qd", "qdd", "gravity", "loaded_psi"), gives,
                    {"K": K, "by_gravity": ca.jacobian(heavy(gravity), gravity), "lever": ca.vertcat(*lever)},

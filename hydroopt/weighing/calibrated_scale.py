@@ -25,8 +25,8 @@ from hydroopt.simulation.simulate import Trajectory, random_trajectory
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.gaussian import Gaussian
-from hydroopt.weighing.scale import CarriedLoad, ForceReadings, Scale, Uncertain, acting, axes_about
-from hydroopt.weighing.smoothed_log import smoothed_log
+from hydroopt.weighing.scale import CarriedLoad, ForceReadings, Scale, Uncertain, axes_about
+from hydroopt.weighing.smoothed_log import actuator_speeds, smoothed_log
 
 NEGLIGIBLE = 1e-3
 """RMS force, per σ of a sensor, below which a direction of the model's uncertainty is left out."""
@@ -164,7 +164,7 @@ def _taken_for_friction(model: Model, known: StoredInformation, found: GaussianP
     found as far as the calibration's information lets them.
     """
     K, force = model.over(model.linearised, motion.q, motion.qd, motion.qdd, found.offset)
-    friction = np.abs(force[:, :, 0]) * acting(model, motion.q, np.sign(motion.qd[:, model.dynamics.kept]))
+    friction = np.abs(force[:, :, 0]) * np.sign(actuator_speeds(model, motion.q, motion.qd))
     size, p, made = np.max(np.abs(K), axis=(0, 1)), K.shape[2], []
     scale = np.where(size > 0, 1 / np.maximum(size, 1e-300), 0.0)
     for k, (column, triangle) in enumerate(zip(friction.T, known.triangles, strict=True)):

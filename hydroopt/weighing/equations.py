@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.spatial.inertia import Array
-from hydroopt.weighing.scale import Scale, acting
+from hydroopt.weighing.scale import Scale
 from hydroopt.weighing.smoothed_log import SmoothedLog
 
 LEAST = 1e-6
@@ -48,7 +48,7 @@ class Equations:
 
     @property
     def sign(self) -> Array:
-        """(M, r) directions of the joints."""
+        """(M, r) directions of the actuators."""
         return self.smoothed.sign
 
     @cached_property
@@ -104,7 +104,7 @@ def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
     k = scale.directions.shape[1]
     seen = K @ numbers
     seen[:, :, 0] = 0.0
-    rubbing = size * acting(model, smoothed.q, smoothed.sign)
+    rubbing = size * smoothed.sign
     seen[:, :, 1 + k : 1 + k + r] += np.eye(r) * rubbing[:, :, None]
     heavy = sum(share * model.over(model.gravity_regressor, at[0])[0] for share, at in parts)
     G = (heavy @ numbers).reshape(M, 3, r, -1).transpose(0, 2, 3, 1)

@@ -237,13 +237,3 @@ def axes_about(gravity: Array) -> Array:
     first /= np.linalg.norm(first)
     second = across[1] - (across[1] @ down) * down - (across[1] @ first) * first
     return np.stack([first, second / np.linalg.norm(second), down])
-
-
-def acting(model: Model, q: Array, sign: Array) -> Array:
-    """Direction (N, r) of each balance's actuator from that of its joint: a cylinder may shorten as the angle grows."""
-    machine, made = model.machine, np.array(sign)
-    arms = model.over(model.transmission, q)[0]
-    for k, (balance, joint) in enumerate(zip(machine.balances, model.dynamics.kept, strict=True)):
-        if balance.alone is not None:
-            made[:, k] *= np.sign(arms[:, machine.actuators.index(balance.alone), joint])
-    return made

@@ -17,7 +17,9 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 
 MOVING = 0.03
-"""Speed [rad/s or m/s] above which a joint moves: dry friction then has a sign."""
+"""Speed [rad/s or m/s], as a joint's, above which an actuator moves: dry friction then has a sign."""
+SHORTEST = 1e-9
+"""Arm of an actuator about its joint [m or 1] below which it has none."""
 UNEVEN = 0.1
 """Part of the sampling step by which steps may differ."""
 
@@ -31,8 +33,8 @@ class SmoothedLog:
         stretch: (M,) index of the uninterrupted stretch.
         q, qd, qdd, jerk: (M, n) motion.
         force: (M, r) measured forces.
-        sign: (M, r) 1 or −1 where the joint of a balance moves in one direction throughout, 0 elsewhere, where nothing
-            is known of dry friction.
+        sign: (M, r) 1 or −1 where the actuator of a balance moves in one direction throughout, 0 elsewhere, where
+            nothing is known of dry friction; see `actuator_speeds`.
         kernel: of the smoothing.
     """
 
@@ -76,7 +78,7 @@ def smoothed_log(model: Model, log: Log) -> SmoothedLog:
             continue
         motion = kernel.smoothed(q[rows], at)
         found.append((log.t[rows][at], np.full(at.size, number), *motion, kernel.smoothed(force[rows], at)[0],
-                      _signs(model, kernel, q[rows], at)))
+                      _signs(model, kernel, q[rows], at, motion)))
     if not found:
         raise LogError(f"a scale needs stretches of {(2 * kernel.margin + 1) * step:.2g} s", where=where,
                        remedy="give a longer log")
@@ -85,9 +87,26 @@ def smoothed_log(model: Model, log: Log) -> SmoothedLog:
     return SmoothedLog(t, stretch, q, qd, qdd, jerk, force, sign, kernel)
 
 
-def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp]) -> Array:
-    """Direction (M, r) of each balance's joint as far as the kernel has weight."""
-    reach = kernel.outlook
-    speeds = np.stack([kernel.smoothed(q, places)[1] for places in (at - reach, at, at + reach)])
-    slowest, fastest = (end(speeds[:, :, model.dynamics.kept], axis=0) for end in (np.min, np.max))
+def actuator_speeds(model: Model, q: Array, qd: Array) -> Array:
+    """(N, r): speed of each balance's actuator, as that of its joint which alone would move it as fast.
+
+    A cylinder may shorten as its joint's angle grows, and one that spans several joints follows all of them: the dry
+    friction in it has the direction of its own motion. Several actuators at a joint move as the joint does.
+    """
+    machine, arms = model.machine, model.over(model.transmission, q)[0]
+    made = np.array(qd[:, model.dynamics.kept])
+    for k, (balance, joint) in enumerate(zip(machine.balances, model.dynamics.kept, strict=True)):
+        if balance.alone is not None:
+            arm = arms[:, machine.actuators.index(balance.alone)]
+            made[:, k] = np.sum(arm * qd, axis=1) / np.maximum(np.abs(arm[:, joint]), SHORTEST)
+    return made
+
+
+def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp], motion: Array) -> Array:
+    """Direction (M, r) of each balance's actuator as far as the kernel has weight; its arms are those in the middle."""
+    reach, middle = kernel.outlook, kernel.nodes[1][0]
+    posture = np.tensordot(kernel.at_node(middle)[0], motion, axes=1)
+    speeds = np.stack([actuator_speeds(model, posture, kernel.smoothed(q, places)[1])
+                       for places in (at - reach, at, at + reach)])
+    slowest, fastest = (end(speeds, axis=0) for end in (np.min, np.max))
     return np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, 0.0))

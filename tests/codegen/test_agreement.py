@@ -300,8 +300,9 @@ class Case:
         K = over(model.linearised, *states, given["loaded_psi"])[0]
         along = over(model.gravity_regressor, given["q"])[0].reshape(len(K), 3, *K.shape[1:])
         change = given["gravity"] - np.asarray(gravity_in_base(self.machine)).ravel()
-        arms = over(model.transmission, given["q"])[0]
-        lever = [arms[:, self.machine.actuators.index(balance.alone), joint] if balance.alone else np.ones(len(K))
+        arms, own = over(model.transmission, given["q"])[0], np.eye(len(self.machine.joints))
+        lever = [arms[:, self.machine.actuators.index(balance.alone)] if balance.alone
+                 else np.tile(own[joint], (len(K), 1))
                  for balance, joint in zip(balances, model.dynamics.kept, strict=True)]
         return {"K": K + np.einsum("nc,ncrp->nrp", change, along), "lever": np.stack(lever, axis=1),
                 "by_gravity": over(model.gravity_forces, given["q"], given["loaded_psi"])[0]}

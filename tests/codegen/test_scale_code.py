@@ -22,7 +22,7 @@ from hydroopt.codegen.scale_tables import ScaleTables
 from hydroopt.weighing.calibrated_scale import scale
 from hydroopt.weighing.course import Weighable, course
 from hydroopt.weighing.equations import equations
-from hydroopt.weighing.scale import Scale, Uncertain
+from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.weighing import learned
 from studies.weighing.machines import RATE
@@ -46,6 +46,7 @@ KNOWN_LOAD = " after a known load"
 LOADS = {
     "cat215b": (scale_fuzz.LOADS["cat215b"], 900.0),
     "patu655_lift": (scale_fuzz.LOADS["patu655_lift"], 400.0),
+    "wheel_loader": (CarriedLoad("bucket", (0.42, 0.28, 0.0), (0.1, 0.1, 0.1), 1500.0), 900.0),
 }
 LOADS |= {name + KNOWN_LOAD: each for name, each in LOADS.items()}
 TARE = 10.0
@@ -174,7 +175,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Shown]:
     ("machine", "real"),
     tiered(
         [(machine, real) for machine in LOADS for real in ("double", "float")],
-        lambda machine, real: (machine, real) in [("patu655_lift", "float"), ("patu655_lift" + KNOWN_LOAD, "double")],
+        lambda machine, real: (machine, real)
+        in [("patu655_lift", "float"), ("wheel_loader", "double"), ("patu655_lift" + KNOWN_LOAD, "double")],
     ),
 )
 def test_it_shows_what_python_shows(machine: str, real: str, run: Callable[..., Shown]) -> None:
@@ -194,7 +196,10 @@ def test_it_shows_what_python_shows(machine: str, real: str, run: Callable[..., 
     assert shown.load[found].tolist() == [readings[i].load for i in some]
     said = np.array([(each.weighed.mass, each.weighed.mass_std, each.weighed.misfit) for each in readings])[some]
     off = np.abs(shown.numbers[found][:, [0, 1, 4]] - said)[1:] / [load.full_scale, load.full_scale, 1.0]
-    assert np.max(off) < {"double": 1e-9, "float": 1e-4}[real]
+    # misfits, which are judged by a factor of three, are small differences of large sums
+    masses, misfits = {"double": (1e-9, 1e-9), "float": (5e-6, 5e-4)}[real]
+    assert np.max(off[:, :2]) < masses
+    assert np.max(off[:, 2]) < misfits
     first = {int(number) - 1: k for k, number in reversed([*enumerate(shown.sample)]) if number > 0}
     for i in range(taring - 1):
         assert shown.weighable[first[i]] == readings[i].status

@@ -23,7 +23,8 @@ from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 from hydroopt.weighing.weighing import Weighing, learned, weigh
-from studies.weighing.machines import CAT, Session, SimulatedMachine, pick_up
+from studies.weighing.machines import CAT, OTHERS, Session, SimulatedMachine, pick_up
+from studies.weighing.run import IN_A_BUCKET, outcomes
 
 MASS, FULL_SCALE = 900.0, 2500.0
 CENTRE = np.array([0.03, -0.02, 0.04])
@@ -110,6 +111,36 @@ def test_equations_predict_what_inverse_dynamics_does_on_a_slope(made: Scale, li
                                   for i in range(len(lines.t))]))
         assert np.allclose(-(ends[0] - ends[1]) / (2 * step[j]), J[:, :, j], rtol=1e-5,
                            atol=1e-5 * np.abs(J[:, :, j]).max())
+
+
+def test_dry_friction_has_the_direction_of_a_cylinder_that_spans_two_joints() -> None:
+    """The loader's tilt cylinder follows its lift, too: often it moves against what the bucket's joint alone says."""
+    model, kernel = ho.Model("wheel_loader"), SmoothingKernel.of_step(0.02)
+    motion = ho.random_trajectory(model, duration=60.0, rate=50.0, seed=1)
+    log = SimulatedMachine(OTHERS[1], model, model.parameters.nominal, np.zeros(2)).log(
+        Session(motion, np.zeros(len(motion.t)), np.zeros(3)), 1)
+    smoothed = smoothed_log(model, log)
+    length = np.array([np.asarray(model.cylinder_kinematics(q, 0 * q, 0 * q)[0]).ravel()[:2] for q in motion.q])
+    ways = np.sign(np.diff(length, axis=0))
+    middles = kernel.middles(len(motion.t))
+    by_joint, known = np.sign(smoothed.qd), smoothed.sign
+    assert np.mean(known != 0) > 0.5
+    for k in range(2):
+        for at, sign in zip(middles[known[:, k] != 0], known[known[:, k] != 0, k], strict=True):
+            assert np.mean(ways[at - kernel.outlook : at + kernel.outlook, k] == sign) > 0.9
+    against = (known[:, 1] != 0) & (by_joint[:, 1] != known[:, 1])
+    assert np.mean(against) > 0.03
+    assert np.all(known[:, 0] * by_joint[:, 0] >= 0)
+
+
+def test_a_loader_weighs_without_false_changes() -> None:
+    """With the friction of its tilt cylinder in the direction of the bucket's joint its residuals were eight times the
+    expected ones, and its load changed when it did not."""
+    carrier, seed = OTHERS[1], 62009
+    found = outcomes(carrier, (IN_A_BUCKET,), range(seed, seed + 1))[IN_A_BUCKET.name][0]
+    assert found.alarms == 0
+    assert found.misfit < 1.5
+    assert abs(found.error) < min(0.015, 3 * found.std)
 
 
 def test_smoothed_forces_are_predicted_in_fast_motion(made: Scale, machine: SimulatedMachine) -> None:
@@ -242,9 +273,10 @@ def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: S
     assert not any(each.ok for each in uncertain.loads)
     assert "--known" in uncertain.next_steps[0].text
     before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (unsure, taught))
-    assert after.mass_std < 0.65 * before.mass_std
-    assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + weigh(
-        made, log, tare=0.0).readings[-1].weighed.mass_std ** 2)
+    exact = weigh(made, log, tare=0.0).readings[-1].weighed.mass_std
+    assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + exact**2)
+    # nearly as sure as readings that are exact in scale: 0.87 to 1.18 times their deviation on ten machines
+    assert after.mass_std < min(1.25 * exact, before.mass_std)
     assert abs(after.mass - MASS) < 4 * after.mass_std
     with pytest.raises(ho.ProblemError, match=r"4\d % too large for a load of 900 kg"):
         learned(made, weight, 900.0, 2.0)
@@ -261,7 +293,7 @@ WRONG_FILES = {"all": (1.1, 1.1, 1.1), "boom": (1.0, 1.1, 1.0), "stick": (1.0, 1
 
 
 @pytest.mark.parametrize("wrong", tiered(WRONG_FILES, lambda wrong: wrong == "boom"))
-def test_a_known_load_corrects_wrong_areas(wrong: str, log: ho.Log, machine: SimulatedMachine) -> None:
+def test_a_known_load_corrects_wrong_areas(wrong: str, made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
     """Without it masses are true to the file, and said to be; then the file's error is found and changes nothing."""
     right, factors = machine.model.machine, WRONG_FILES[wrong]
     file = right.model_copy(update={
@@ -270,17 +302,19 @@ def test_a_known_load_corrects_wrong_areas(wrong: str, log: ho.Log, machine: Sim
         "cylinders": tuple(each.model_copy(update={key: factor * getattr(each, key)
                                                    for key in ("head_area", "rod_area")})
                            for each, factor in zip(right.cylinders, factors[1:], strict=True))})
-    made = scale(ho.Model(file), machine.calibration(5), LOAD)
-    trusting = weigh(made, log)
+    misled = scale(ho.Model(file), machine.calibration(5), LOAD)
+    trusting = weigh(misled, log)
     assert "true to the stated areas and sensors' scales" in trusting.headline
     assert all("true to the stated areas" in use.condition for use in trusting.uses)
     assert [each.kind for each in trusting.diagnostics] == [Kind.FORCE_SCALE_ASSUMED]
     assert "--known" in trusting.next_steps[0].text
     motion = ho.random_trajectory(machine.model, duration=20.0, rate=50.0, seed=9)
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
-    found = weigh(learned(made, weight, 1500.0, 2.0), log)
+    found, by_right_file = (weigh(learned(each, weight, 1500.0, 2.0), log) for each in (misled, made))
     assert found.loads[0].ok
-    assert abs(found.loads[0].mass - MASS) < 3 * found.loads[0].mass_std < 0.033 * MASS
+    assert abs(found.loads[0].mass - MASS) < 3 * found.loads[0].mass_std
+    # 0.99 to 1.25 times the deviation with the right file on ten machines
+    assert found.loads[0].mass_std < 1.4 * by_right_file.loads[0].mass_std
     said = [each for each in found.diagnostics if each.kind is Kind.FORCE_SCALE_WRONG]
     assert len(found.diagnostics) == len(said) == sum(factor != 1 for factor in factors)
     assert "true to" not in found.headline

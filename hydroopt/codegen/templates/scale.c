@@ -151,21 +151,25 @@ static real smoothed(const real *values, size_t width, size_t column, uint32_t p
     return sum;
 }
 
-/* 1 or -1 where a joint moves in one direction throughout the smoothing, 0 elsewhere. */
-static real direction(const {{ p }}_scale_t *scale, size_t joint)
+/* 1 or -1 where an actuator moves in one direction throughout the smoothing, 0 elsewhere. Speeds are those of the joints, before, in
+ * and after the middle; an actuator is slow where its own joint alone would be slow. */
+static real direction(const real lever[JOINTS], size_t joint, const real *const speeds[3])
 {
-    real slowest = {{ 0 | number }};
-    real fastest = {{ 0 | number }};
+    const real least = MOVING * fabs{{ f }}(lever[joint]);
+    int forth = 1;
+    int back = 1;
     for (size_t k = 0U; k < 3U; k++) {
-        const size_t middle = (size_t)(MIDDLE - OUTLOOK) + (k * (size_t)OUTLOOK);
-        const real speed = smoothed(&scale->q[0][0], (size_t)JOINTS, joint, scale->place, middle, 1U);
-        slowest = ((k == 0U) || (speed < slowest)) ? speed : slowest;
-        fastest = ((k == 0U) || (speed > fastest)) ? speed : fastest;
+        real speed = {{ 0 | number }};
+        for (size_t j = 0U; j < (size_t)JOINTS; j++) {
+            speed += lever[j] * speeds[k][j];
+        }
+        forth = (speed > least) ? forth : 0;
+        back = (speed < -least) ? back : 0;
     }
-    if (slowest > MOVING) {
+    if (forth != 0) {
         return {{ 1 | number }};
     }
-    return (fastest < -MOVING) ? {{ -1 | number }} : {{ 0 | number }};
+    return (back != 0) ? {{ -1 | number }} : {{ 0 | number }};
 }
 
 /* Smooth the samples about the one in the middle. */
@@ -181,8 +185,11 @@ static void smooth(const {{ p }}_scale_t *scale, real made[SMOOTHED])
     }
     for (size_t a = 0U; a < (size_t)ROWS; a++) {
         made[at] = smoothed(&scale->force[0][0], (size_t)ROWS, a, scale->place, (size_t)MIDDLE, 0U);
-        made[at + (size_t)ROWS] = direction(scale, joint_of[a]);
         at++;
+    }
+    for (size_t j = 0U; j < (size_t)JOINTS; j++) {
+        made[at + j] = smoothed(&scale->q[0][0], (size_t)JOINTS, j, scale->place, (size_t)(MIDDLE - OUTLOOK), 1U);
+        made[at + (size_t)JOINTS + j] = smoothed(&scale->q[0][0], (size_t)JOINTS, j, scale->place, (size_t)(MIDDLE + OUTLOOK), 1U);
     }
 }
 
@@ -193,8 +200,9 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
     static const real none = {{ 0 | number }};
     const real *const motion = &sample[1];
     const real *const force = &sample[1U + (4U * (size_t)JOINTS)];
+    const real *const speeds[3] = {&force[ROWS], &motion[JOINTS], &force[ROWS + JOINTS]};
     real turn[2][3];
-    real sign[ROWS];
+    real sign[ROWS] = { {{ 0 | number }} };
     real K[ROWS][PSI];
     real by_gravity[ROWS][3];
     real total[PSI];
@@ -202,7 +210,6 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
     {{ p }}_tilted_regressor_t forces;
     {{ p }}_force_by_motion_t derivatives;
     for (size_t a = 0U; a < (size_t)ROWS; a++) {
-        sign[a] = force[(size_t)ROWS + a];
         made->used[a] = 0U;
         for (size_t j = 0U; j < (size_t)COLUMNS; j++) {
             made->row[a][j] = none;
@@ -272,8 +279,9 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
                             + (derivatives.by_qdd[a][j] * at_node[k][2][d]));
                 }
             }
-            /* the node in the middle */
-            sign[a] *= ((k == 1U) && (forces.lever[a] < none)) ? {{ -1 | number }} : {{ 1 | number }};
+            if (k == 1U) { /* the node in the middle */
+                sign[a] = direction(forces.lever[a], joint_of[a], speeds);
+            }
         }
     }
     for (size_t a = 0U; a < (size_t)ROWS; a++) {

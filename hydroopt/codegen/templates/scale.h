@@ -2,7 +2,7 @@
  * {{ licence }}
  *
  * Call {{ p }}_scale_start while the machine is empty, then {{ p }}_scale_update with every sample, each {{ "%g" | format(scale.kernel.step * 1000) }} ms.
- * For the first seconds (`tare`) the machine must move without load; boom and stick must move for some seconds with each load.
+ * For the first seconds (`tare`) the machine must move without load; the joints that carry it must move for some seconds with each load.
  * What it shows lags by {{ "%g" | format(scale.kernel.margin * scale.kernel.step) }} s, and changes each {{ "%g" | format(scale.kernel.stride * scale.kernel.step) }} s. The state has a fixed size; nothing is allocated.
  * A mass counts only if the call returns {{ P }}_OK and `weighable` is {{ P }}_SCALE_WEIGHABLE.
  */
@@ -39,7 +39,7 @@ enum {
     {{ P }}_SCALE_SPAN = {{ 2 * scale.kernel.margin + 1 }},
     {{ P }}_SCALE_STRIDE = {{ scale.kernel.stride }}, /* samples from one smoothed one to the next */
     {{ P }}_SCALE_TAPE = {{ scale.tape }}, /* smoothed samples that are kept: those of the tare are taken twice */
-    {{ P }}_SCALE_SMOOTHED = 1 + (4 * {{ P }}_JOINT_COUNT) + (2 * {{ P }}_SCALE_ROWS), /* numbers of each */
+    {{ P }}_SCALE_SMOOTHED = 1 + (6 * {{ P }}_JOINT_COUNT) + {{ P }}_SCALE_ROWS, /* numbers of each */
     {{ P }}_SCALE_LAGS = {{ scale.lags }}, /* smoothed samples before, with which errors are correlated */
     {{ P }}_SCALE_WINDOW = {{ (scale.lags + 1) * scale.rows }}
 };
