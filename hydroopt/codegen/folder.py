@@ -54,7 +54,7 @@ STATUSES = {
     "NOT_FINITE": "an input is not finite or too large; nothing was written",
     "OUT_OF_RANGE": "an input is out of the range stated in its comment; nothing was written",
     "OPEN_TRIANGLE": "pins of a cylinder or linkage coincide or cannot be that far apart; do not use the result",
-    "DEAD_POINT": "a cylinder has no lever arm here; do not use the result",
+    "DEAD_POINT": "a cylinder has no lever arm here, or is parallel to its joint's axis; do not use the result",
     "NO_GAS_VOLUME": "a gas cylinder has no volume left; do not use the result",
     "NO_SUPPLY": "the supply's pressure is hardly above the tank's; do not use the result",
     "SINGULAR": "the posture does not determine the result, such as that of a stretched arm; do not use it",

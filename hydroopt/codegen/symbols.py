@@ -25,6 +25,9 @@ COINCIDENT = 1e-3
 """Pin distance [m] below which pins count as coinciding."""
 STRAIGHT = 1e-4
 """Sine of the angle between the bars of a loop below which it is at a dead point, or cannot close."""
+PARALLEL = 0.9995
+"""Cosine of the angle between a cylinder and the axis that orients it above which they count as parallel (1.8°): single
+precision then loses the angle."""
 EMPTY = 1e-9
 """Volume [m³] below which a gas cylinder counts as empty."""
 TURN = 2 * np.pi
@@ -209,10 +212,12 @@ class Symbols:
         return self.dynamics.forces(self.inputs["psi"])
 
     def guards(self, *, levers: bool = False, gas: bool = False) -> tuple[Guard, ...]:
-        """Checks of loops and pin distances, and if asked for of lever arms and gas volumes."""
-        found = [*self.turns(self.coordinates.q, self.machine.joints), *self.straight(self.dynamics.tree.sines)]
-        found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
-                 for c in self.machine.pinned]
+        """Checks of loops, and lengths and directions of cylinders; if asked for of lever arms and gas volumes."""
+        cylinders = [self.dynamics.cylinders[c.name] for c in self.machine.pinned]
+        found = [*self.turns(self.coordinates.q, self.machine.joints), *self.straight(self.dynamics.tree.sines),
+                 *(Guard(each.length, ">", COINCIDENT, "OPEN_TRIANGLE") for each in cylinders),
+                 *(Guard(each.along, "<", PARALLEL, "DEAD_POINT", absolute=True) for each in cylinders
+                   if not each.along.is_constant())]
         if levers:
             # several actuators at a joint may pass their dead points
             found += self.arms(self.dynamics.levers)

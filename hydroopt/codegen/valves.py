@@ -105,11 +105,14 @@ def position_feedback(api: Symbols) -> Routine:
     after, further = cascade.feedback(
         axes, wanted - position, shares, demanded - measured, opening, before, integral,
         cascade.Gains(position_gain, force_gain, integral_time, filter_time), period)
+    guards = api.guards()
+    demands = (guard._replace(value=ca.substitute(guard.value, q, aim)) for guard in guards)
     axis, api.kinds["axis"] = ("axis",), Kind(axes.names, tuple(axes.units(k) for k in range(len(axes.names))))
     kept = Field("integral", axis, "m or rad", "kept from sample to sample; zeros at first")
     takes = api.struct("position_sample", "Readings, demands and gains, and what was kept of the samples before.",
                        Field("q", ("joint",), "rad or m", "position of each joint"),
-                       Field("q_demanded", ("joint",), "rad or m", "position that the motion demands now"),
+                       Field("q_demanded", ("joint",), "rad or m", "position that the motion demands now, where all "
+                             "loops close"),
                        Field("force_measured", (api.valve,), "N or N*m", "force of each actuator by its pressures"),
                        Field("force_demanded", (api.valve,), "N or N*m", "force that the motion demands now"),
                        Field("speed_before", (api.valve,), "m/s or rad/s", "speed_added a sample ago; zeros at first"),
@@ -127,7 +130,7 @@ def position_feedback(api: Symbols) -> Routine:
                    ("q", "q_demanded", "force_measured", "force_demanded", "opening_before", "position_gain",
                     "force_gain", "integral_time", "filter_time", "period", "speed_before", "integral"), gives,
                    {"speed_added": after, "integral": further},
-                   (*api.guards(), *_periodic(period),
+                   (*guards, *demands, *_periodic(period),
                     *(Guard(time, ">", LEAST_TIME, "OUT_OF_RANGE") for time in ca.vertsplit(integral_time))),
                    api.lengths)
 

@@ -18,6 +18,8 @@ SHORTEST_LEVER = 1e-4
 class CylinderMotion(NamedTuple):
     """Length, its rates, and the two bodies of a cylinder.
 
+    `along` is the cosine of the angle between its centre line and the axis that orients it, 0 in a planar triangle;
+    parallel to that axis its bodies could be turned in any way.
     `barrel_turn` and `rod_turn` [rad/s] are the rotation rates of the bodies about their z axes,
     relative to the links that carry the pins.
     """
@@ -25,6 +27,7 @@ class CylinderMotion(NamedTuple):
     length: ca.SX
     speed: ca.SX
     acceleration: ca.SX
+    along: ca.SX
     barrel: Motion
     rod: Motion
     barrel_turn: ca.SX
@@ -72,7 +75,7 @@ def cylinder_motion(geometry: Geometry, cylinder: Pinned, links: dict[str, Motio
               for k in (0, 1)]
     pin_turns = [turn_z - ca.dot(z, _rotation(geometry, driven, end.link, q, tree))
                  for end in (cylinder.barrel, cylinder.rod)]
-    return CylinderMotion(length, speed, acceleration, *bodies, *pin_turns)
+    return CylinderMotion(length, speed, acceleration, along, *bodies, *pin_turns)
 
 
 def _rotation(geometry: Geometry, seat: str, link: str, q: dict[str, ca.SX], tree: Coordinates) -> ca.SX:

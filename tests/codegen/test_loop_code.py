@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fixtures.library import NOT_FINITE, OK, OUT_OF_RANGE, Library, machine, subject
+from fixtures.library import NOT_FINITE, OK, OPEN_TRIANGLE, OUT_OF_RANGE, Library, machine, subject
+from fixtures.tiers import tiered
 from hydroopt import random_trajectory
+from hydroopt.codegen import self_test
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
@@ -113,3 +117,17 @@ def test_c_refuses_what_cannot_be(case: tuple[Watched, Library]) -> None:
             assert library.call(routine, params, good | {"period": np.array([[period]])}, 1)[0][0] == OUT_OF_RANGE
     never = good | {"integral_time": 0 * good["integral_time"]}
     assert library.call("position_feedback", params, never, 1)[0][0] == OUT_OF_RANGE
+
+
+@pytest.mark.parametrize("real", tiered(["double", "float"], lambda real: real == "double"))
+def test_demands_that_no_linkage_can_reach_have_a_status(real: str, tmp_path: Path) -> None:
+    """The bucket's linkage closes where the bucket is, and cannot where the motion demands it."""
+    library = Library(subject("excavator_bucket", real, "position_feedback"), tmp_path / "c", "-O0")
+    count, states = 500, self_test.states(library.interface, 1, seed=3)
+    given = {key: np.repeat(values, count, axis=0) for key, values in states.items() if values.ndim == 2}
+    given["q_demanded"][:, -1] = np.linspace(-1.5, 1.5, count) * np.pi
+    status, found = library.call("position_feedback", library.prepare(), given, count)
+    assert set(status) == {OK, OPEN_TRIANGLE, OUT_OF_RANGE}
+    assert all(np.all(np.isfinite(found[member][status == OK])) for member in found.dtype.names)
+    middle = np.mean(library.interface.machine.link("bucket").joint.range)
+    assert np.all((status == OUT_OF_RANGE) == (np.abs(given["q_demanded"][:, -1] - middle) > np.pi))

@@ -216,6 +216,20 @@ def test_pins_that_coincide(excavator: Library) -> None:
             assert status == OPEN_TRIANGLE, (name, dead, status, out)
 
 
+def test_a_cylinder_parallel_to_its_joint_has_a_status(excavator: Library, libraries) -> None:
+    """Its bodies are turned by the joint's axis, which leaves them undetermined; in float the result was not finite."""
+    names, nominal = excavator.interface.kinds["geometry"].names, excavator.interface.values["geometry"]
+    single = libraries("cat215b", "float", "-O0", "mass_matrix")
+    for sideways, expected in ((1.0, {OK, OUT_OF_STROKE}), (150.0, {DEAD_POINT}), (34527.0, {DEAD_POINT})):
+        geometry = np.where([name == "boom_cylinder.rod.z" for name in names], sideways, nominal)
+        for lib, routines in ((excavator, MOTIONS), (single, ("mass_matrix",))):
+            constants = lib.prepare({"geometry": geometry})
+            for name in set(routines) - {"closure"}:  # which has no bodies
+                status, out = call(lib, constants, name, held(np.array([0.5, -0.5, 1.5])))
+                assert status in expected, (name, sideways)
+                assert status == DEAD_POINT or all(np.all(np.isfinite(out[member])) for member in out.dtype.names)
+
+
 @pytest.mark.parametrize("turns", [0.0, np.pi])
 @pytest.mark.parametrize("cylinder", [BOOM, STICK], ids=lambda each: each.name)
 def test_dead_points(excavator: Library, cylinder, turns: float) -> None:
