@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import casadi as ca
 
 from hydroopt.codegen.symbols import ABOVE, Field, Guard, Kind, Routine, Symbols
@@ -36,7 +38,7 @@ def valve_feedforward(api: Symbols) -> Routine:
     factors = ca.horzcat(*(api.symbol(name, count) for name in FACTORS))
     supply, speed = api.symbol("supply", 2), api.dynamics.rates[places] + api.symbol("speed_added", count)
     openings, commands = [], []
-    for k, each in enumerate(plant.actuators):
+    for k, each in enumerate(_actuators(api, plant)):
         value = _value(plant, each)
         wide = valve_inversion.opening(each, speed[k], rate[k], _length(api, each), ca.vertcat(p_a[k], p_b[k]), supply,
                                        factors[k, :].T, value)
@@ -67,7 +69,7 @@ def valve_refit(api: Symbols) -> Routine:
     acting, p_a, p_b = (api.symbol(name, count) for name in ("acting", "pressure_a", "pressure_b"))
     supply, period, state = api.symbol("supply", 2), api.symbol("period", 1), api.symbol("state", count * size)
     std, after = refit.length_std(plant, _lever_arms(api, plant)), []
-    for k, each in enumerate(plant.actuators):
+    for k, each in enumerate(_actuators(api, plant)):
         after.append(refit.next_state(each, state[k * size:(k + 1) * size], acting[k], _length(api, each), std[k],
                                       p_a[k], p_b[k], supply, period, _value(plant, each)))
     factors, deviations = (ca.horzcat(*(found(each) for each in after)).T
@@ -135,13 +137,20 @@ def position_feedback(api: Symbols) -> Routine:
                    api.lengths)
 
 
+def _actuators(api: Symbols, plant: Plant) -> list[ActuatorHydraulics]:
+    """The plant's actuators, whose strokes begin at the dead lengths of the parameters."""
+    found = [copy(each) for each in plant.actuators]
+    for each in found:
+        if isinstance(each.actuator, Cylinder):
+            each.dead_length = api.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
+    return found
+
+
 def _length(api: Symbols, each: ActuatorHydraulics) -> ca.SX:
-    """Length of a cylinder [m], whose stroke begins at the calibrated dead length; angle or place of a motor's joint.
-    """
+    """Length of a cylinder [m]; angle or place of a motor's joint."""
     if not isinstance(each.actuator, Cylinder):
         return api.coordinates.q[api.machine.joints.index(each.actuator.joint)]
-    dead = api.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
-    return api.dynamics.cylinders[each.actuator.name].length - dead + each.actuator.dead_length
+    return api.dynamics.cylinders[each.actuator.name].length
 
 
 def _lever_arms(api: Symbols, plant: Plant) -> ca.SX:

@@ -115,6 +115,8 @@ class ActuatorHydraulics:
     def __init__(self, actuator: Cylinder | Motor, circuit: Circuit, oil: Oil) -> None:
         self.actuator, self.circuit, self.oil, self.valve = actuator, circuit, oil, circuit.valve
         self.areas = actuator.areas
+        self.dead_length: float | ca.SX = actuator.dead_length if isinstance(actuator, Cylinder) else 0.0
+        """Length [m] at which a cylinder's stroke begins; a symbol where code reads it from its parameters."""
         self.spool_states = 2 if self.valve.natural_frequency is not None else 0
         """Number of states of the spool: 0 or 2."""
 
@@ -127,7 +129,7 @@ class ActuatorHydraulics:
         """Volumes [m³] of both chambers without hoses, at a cylinder's length; a motor's are part of its hoses."""
         if isinstance(self.actuator, Motor):
             return ca.SX(0.0), ca.SX(0.0)
-        stroke = length - self.actuator.dead_length
+        stroke = length - self.dead_length
         return self.areas[0] * stroke, self.areas[1] * (self.actuator.stroke - stroke)
 
     def spool_rates(self, spool: ca.SX, spool_rate: ca.SX, commanded: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:

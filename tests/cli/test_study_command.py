@@ -101,7 +101,7 @@ def terminal(tmp_path: Path) -> Iterator[tuple[object, Path]]:
 @pytest.mark.slow
 def test_ctrl_c_keeps_the_cells_and_says_how_to_go_on(terminal: tuple[object, Path]) -> None:
     running, out = terminal
-    running.until(lambda: "of 2000 cells, " in running.shown and " left" in running.last)
+    running.until(lambda: "of 2000 cells " in running.shown and " left" in running.last)
     running.press_ctrl_c()
     assert running.ended() == 130, running.last
     kept = len(list((out / "cells").glob("*.json")))

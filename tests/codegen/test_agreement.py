@@ -39,6 +39,9 @@ Values = dict[str, Array]
 
 EVERY = (*SUBJECTS, *library.BALANCED, *library.LOOPED)
 PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
+"""Subjects whose geometry is an argument, judged with changed numbers, too."""
+UNCERTAIN = (*PARAMETRIC, "backhoe", "forestry_crane")
+"""Subjects whose file states confidences of the geometry."""
 BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
 FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),
                 "cat215b folded": (("double", "-O3"), ("float", "-O0"))} | dict.fromkeys(
@@ -407,7 +410,7 @@ def has(subject: str, routine: str) -> bool:
         case "closure":
             return bool(described.cylinders or described.calibrator)
         case "residual_by_geometry":
-            return subject in PARAMETRIC
+            return subject in UNCERTAIN
     return True
 
 
