@@ -291,12 +291,13 @@ class Case:
         names = self.names
         dynamics = Dynamics(Geometry(self.stated, {name: symbols[k] for k, name in enumerate(names)}),
                             coordinates(self.stated))
-        w = ca.SX.sym("w", 6)
-        forces = -dynamics.forces(ca.SX(ca.DM(self.values["psi"]))) - dynamics.wrench_forces(w)
-        function = ca.Function("by_geometry", [*dynamics.coordinates, w, symbols],
-                               [ca.densify(ca.jacobian(forces, symbols))])
+        w, read = ca.SX.sym("w", 6), ca.SX.sym("read", len(self.machine.actuators))
+        left = (dynamics.shares @ read - dynamics.forces(ca.SX(ca.DM(self.values["psi"])))
+                - dynamics.wrench_forces(w))
+        function = ca.Function("by_geometry", [*dynamics.coordinates, w, read, symbols],
+                               [ca.densify(ca.jacobian(left, symbols))])
         return {"by_geometry": over(function, given["q"], given["qd"], given["qdd"], given["wrench"],
-                                    self.values["geometry"])[0]}
+                                    self.actuator_forces(given)["force"], self.values["geometry"])[0]}
 
     def tilted_regressor(self, given: Values) -> Values:
         model, balances, states = self.model, self.machine.balances, (given["q"], given["qd"], given["qdd"])
