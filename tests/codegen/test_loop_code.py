@@ -15,12 +15,14 @@ from hydroopt.codegen import self_test
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
+from hydroopt.control.feasibility import flow_demand
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import Reading
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
+from hydroopt.simulation.simulate import Trajectory
 
 PERIOD = 0.02
 
@@ -48,11 +50,14 @@ class Watched(Cascade):
 
 
 def driven(plant: Plant, flows: float) -> Watched:
-    """A loop of 6 s on a machine whose flows are so many times those that its controller knows."""
+    """A loop of 6 s, within the pump's flow, on a machine whose flows are `flows` times those that are known."""
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
     true = theta * np.where([".flow_" in key or "rated_flow" in key for key in plant.parameters.names], flows, 1.0)
     t = np.arange(300) * PERIOD
-    motion = random_trajectory(plant.model, duration=6.0, rate=1 / PERIOD, seed=1, slowest=0.05, fastest=0.15)
+    fast = random_trajectory(plant.model, duration=6.0, rate=1 / PERIOD, seed=1, slowest=0.05, fastest=0.15)
+    most = plant.machine.pump.max_flow if plant.machine.pump else None
+    longer = max(1.0, 1.2 * flow_demand(plant, fast.q, fast.qd).max() / most) if most else 1.0
+    motion = Trajectory(longer * fast.t, fast.q, fast.qd / longer, fast.qdd / longer**2)
     demands, one = Demands(Valves(plant, theta), Reference(motion), t), np.ones(len(Axes(plant).names))
     gains = Gains(1.5 * one, 1e-8 * np.ones(len(plant.actuators)), 2.0 * one, 0.05 * one)
     watched = Watched(demands.valves, demands.by(plant.model, psi), gains, PERIOD,
