@@ -26,8 +26,9 @@ MARGIN = 0.1
 TRIES = 64
 """How often states are drawn anew, each time on a machine more like the one described, where linkages do not close or
 rounding decides."""
-CLEAR = 1e-4
-"""How well a posture determines the wrench at the tip, see `Dynamics.tip_wrench`, where rounding does not decide it."""
+CLEAR, CLEAR_SINGLE = 1e-4, 1e-2
+"""How well a posture determines the wrench at the tip, see `Dynamics.tip_wrench`, where rounding does not decide it in
+double and in single precision."""
 ADDED, REACH = 0.1, 0.5
 """Mass that is fixed to every body, as a part of the bodies' mean, and how far from its frame [m]."""
 BENT = 0.05
@@ -58,7 +59,7 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
     for seed in range(TRIES):
         inputs = states(interface, seed=seed, single=single, share=4 / (4 + seed))
         outputs = dict(zip(keys, results(function, inputs), strict=True))
-        untested = _undetermined(interface, outputs)
+        untested = _undetermined(interface, outputs, CLEAR_SINGLE if single else CLEAR)
         if best is None or len(untested) < len(best.untested):
             best = Vectors(inputs, outputs, {name: inputs[name] for name in inputs if name in interface.values},
                            untested)
@@ -71,13 +72,13 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
                          outputs={key: array for key, array in best.outputs.items() if key[0] in tested})
 
 
-def _undetermined(interface: Interface, outputs: dict[tuple[str, str], Array]) -> tuple[str, ...]:
+def _undetermined(interface: Interface, outputs: dict[tuple[str, str], Array], clear: float) -> tuple[str, ...]:
     """Routines of which a result is no number or a check does not hold, that of the wrench at the tip clearly."""
     found = {}
     for (routine, key), values in outputs.items():
         guards = enumerate(interface.routines[routine].guards) if key == ":guards" else ()
         if not np.all(np.isfinite(values)) or not all(
-                _holds(guard._replace(limit=CLEAR) if (routine, guard.status) == ("tip_wrench", "SINGULAR") else guard,
+                _holds(guard._replace(limit=clear) if (routine, guard.status) == ("tip_wrench", "SINGULAR") else guard,
                        values[:, k, 0]) for k, guard in guards):
             found[routine] = True
     return tuple(found)
