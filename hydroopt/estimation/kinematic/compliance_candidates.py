@@ -64,6 +64,6 @@ class ComplianceChoice:
         for name, each in zip(names, self.candidates, strict=True):
             change = "" if each is self.candidates[0] else f"{each.difference:+.4f} ± {each.std:.4f}"
             lines.append(f"{'*' if each.chosen else ' '} {name:<{width}}  {each.held_out:>13.4f}  {change}")
-        told = ", ".join(f"{joint} from {readable(sag, self.units[joint])}" if np.isfinite(sag) else f"{joint} never"
-                         for joint, sag in self.detectable.items())
-        return "\n".join([*lines, RULE, f"Deflections that would show in these poses: {told}."])
+        shown = ", ".join(f"{joint} from {readable(sag, self.units[joint])}" if np.isfinite(sag) else f"{joint} never"
+                          for joint, sag in self.detectable.items())
+        return "\n".join([*lines, RULE, f"Deflections that would show in these poses: {shown}."])

@@ -31,7 +31,7 @@ from hydroopt.spatial.inertia import Array
 ADDITION = "addition.toml"
 """File with what the next measurement needs beside the machine file."""
 LEAST = 0.001
-"""Gain per minute below which it is no longer worth while, if nothing else is stated."""
+"""Least gain per minute that a further measurement must bring, if nothing else is stated."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
