@@ -46,6 +46,9 @@ LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure
 """Absolute value beyond which an input is refused, by the member's name; 1e5 for all others."""
 LARGE = 1500
 """Number of statements from which each routine gets its own file."""
+VAST = 8_000
+"""Number of statements from which `make` compiles a routine with -O1: the time that compilers take for registers grows
+with the square of it."""
 STATUSES = {
     "OK": "the result is there",
     "OUT_OF_STROKE": "a cylinder is shorter or longer than it can be; do not use the result, which extrapolates",
@@ -201,6 +204,7 @@ class Code:
         count = sum(len(lines) for lines in self.bodies.values())
         parts = {f"{self.name}.c": list(self.routines)} if count < LARGE else {
             f"{self.name}.c": [], **{f"{self.name}_{name}.c": [name] for name in self.routines}}
+        vast = [file for file, names in parts.items() if any(len(self.bodies[name]) > VAST for name in names)]
         files = {f"{self.name}.h": self.header, f"{self.name}_internal.h": self._render("internal.h"),
                  f"{self.name}_params.h": self._render("params.h")}
         for file, names in parts.items():
@@ -219,7 +223,7 @@ class Code:
             **{name: self._render(template, sources=sources)
                for name, template in self.host_files.items() if template},
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources, headers=headers),
-            "Makefile": self._render("Makefile", sources=sources),
+            "Makefile": self._render("Makefile", sources=sources, vast=vast),
             "README.md": self._render("README.md", table=self._table(), needs=needs)}
 
     def write(self, directory: Path, progress: Progress = silent) -> tuple[str, ...]:

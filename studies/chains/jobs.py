@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-LIMIT = 1800
+LIMIT = 3600
 """Seconds after which a job counts as one that does not end."""
 POSES = 20
 """Poses of each stage of the calibration."""

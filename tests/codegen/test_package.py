@@ -13,6 +13,7 @@ from fixtures import library
 from fixtures.library import run, write
 from fixtures.tiers import tiered
 from fixtures.tools import must, tool
+from hydroopt.codegen import folder
 from hydroopt.codegen.folder import INTERFACE_VERSION
 from hydroopt.errors import ProblemError
 
@@ -170,3 +171,20 @@ def test_unknown_hosts_are_refused() -> None:
         library.code(library.machine("patu655_lift"), hosts=("abap",))
 
 
+
+
+def test_routines_that_compilers_find_too_long_are_compiled_with_less_effort(
+        monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Unless whoever calls `make` says which flags; and all others as before."""
+    routines = ("forward_kinematics", "inverse_dynamics")
+    monkeypatch.setattr(folder, "LARGE", 0)
+    made = library.code(library.machine("patu655_lift"), routines=routines)
+    short, long = sorted(routines, key=lambda name: len(made.bodies[name]))
+    monkeypatch.setattr(folder, "VAST", len(made.bodies[long]) - 1)
+    place = write(library.files(made), tmp_path / "c")
+    for said, flags in ((), "-O2 -O1"), (("CFLAGS=-O3",), "-O3"):
+        commands = must(["make", "-n", *said], place).splitlines()
+        (own,) = [each for each in commands if " -c " in each and long in each]
+        assert f" {flags} -c " in own
+        (other,) = [each for each in commands if " -c " in each and short in each]
+        assert f" {said[0][7:] if said else '-O2'} -c " in other

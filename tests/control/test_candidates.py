@@ -19,6 +19,7 @@ from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Reference
 from hydroopt.control.setting import Setting
 from hydroopt.model.plant import Plant
+from hydroopt.results.verdict import Action
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory, forces
 
@@ -223,3 +224,15 @@ def test_loops_are_drawn_in_notebooks(exact_feedforward: Comparison) -> None:
     t, y = exact_feedforward.winner.loops.steps(30.0)
     assert y[-1, 0] == pytest.approx(1.0, abs=0.03)
     assert t[-1] == pytest.approx(30.0)
+
+
+def test_small_margins_ask_for_the_valves_and_for_more_robust_loops(exact_feedforward: Comparison) -> None:
+    assert [each.action for each in exact_feedforward.next_steps] == [Action.USE]
+    outcomes = tuple(replace(each, margins=tuple(one._replace(phase=0.5) for one in each.margins))
+                     for each in exact_feedforward.outcomes)
+    found = replace(exact_feedforward, outcomes=outcomes)
+    texts = [each.text for each in found.next_steps]
+    assert [text.partition(":")[0] for text in texts] == [
+        "Identify valves and oil, since margins depend on them", "Give --sensitivity 1.3"]
+    careful = replace(found, setting=replace(found.setting, sensitivity=1.3))
+    assert [each.text for each in careful.next_steps] == texts[:1]

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ from hydroopt.report.samples import unpacked
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.json_file import COMMON
-from hydroopt.results.verdict import Action, Purpose, Usable
+from hydroopt.results.status import Status
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable
 from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 
@@ -228,6 +230,26 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
     assert not any(step.action is Action.USE for step in answer.next_steps)
     monkeypatch.undo()
     assert solved.next_steps[-1].action is Action.USE
+
+
+def test_a_calibration_that_writes_no_machine_says_so_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    crane = load_machine("patu655_lift")
+    model = KinematicModel(crane)
+    q = np.linspace(*crane.link("lift").joint.range, 20)[:, None]
+    answer = calibrate(calibration_problem(crane, postures.record(
+        model, q, [""] * 20, [""] * 20, geometry=model.parameters.nominal,
+        channels=postures.measured_channels(model), seed=1)))
+    assert answer.status is Status.OK
+    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.within_strokes", Mock(
+        side_effect=MachineError("a dead point lies in the range", where="lift", remedy="narrow its limits")))
+    without = replace(answer)  # without what was computed before
+    without.save(tmp_path)
+    verdict = load(tmp_path).verdict
+    assert verdict == without.verdict
+    assert (verdict.status, verdict.cause) == (
+        Status.SUSPECT, "No calibrated machine is written: lift: a dead point lies in the range; narrow its limits.")
+    assert verdict.next_steps[0] == NextStep(Action.CHECK, "Correct limits in the machine file, or fix parameters.")
+    assert not verdict.serves
 
 
 def run(*arguments: str) -> str:

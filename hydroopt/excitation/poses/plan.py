@@ -213,11 +213,18 @@ class PosePlan(Answer):
 
     def _printed(self, joint: str) -> tuple[str, list[str]]:
         """Unit and texts (N,) of a joint's variable."""
-        values = self.q[:, self.joints.index(joint)]
+        values = self._positions(joint)
         if self.machine.channel_units[f"{joint}.q"] == "m":
             return "mm", [f"{1e3 * value:.0f}" for value in values]
         return "deg", [f"{np.round(np.degrees(value), 1) + 0.0:.1f}" for value in values]
 
+    def _positions(self, joint: str) -> Array:
+        """(N,) positions of a joint [rad, m], of a dependent one at the nominal geometry."""
+        if joint in self.joints:
+            return self.q[:, self.joints.index(joint)]
+        model = self.problem.model
+        rows = model.over(model.observed, model.parameters.nominal, self.q, np.zeros((len(self.q), model.place_size)))
+        return rows[0][:, model.channels.index(f"{joint}.q"), 0]
 
 
 def _csv(poses: Poses) -> str:
