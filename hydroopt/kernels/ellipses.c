@@ -1,131 +1,155 @@
-/* Sweeps of elliptical slice sampling (Murray, Adams, MacKay 2010), one chain after the other. */
+/* Sweeps of elliptical slice sampling (Murray, Adams, MacKay 2010), TILE chains side by side. */
 #include <math.h>
 #define TURN 6.283185307179586
+#define TILE 4
+#define GROUP 6
+typedef double tile __attribute__((vector_size(8 * TILE), aligned(8), may_alias));
+typedef long long mask __attribute__((vector_size(8 * TILE), aligned(8), may_alias));
 
 /* The density of standard normal coordinates z (k) times exp(square*z^2 + linear*z), where linear functions (m) of z
    are positive: the upper triangles of symmetric 4-by-4 matrices entry by entry, whose pivots are, then single ones.
    Matrices of a positive weight have log-det distances from spread*1. `freedoms` are those of the Student-t about which
-   blocks move; 0 of a Gaussian. Functions and matrices are filled up to multiples of TILE, which vectors divide: `place`
-   says where each of the `own` functions stands. */
-struct density { long coordinates, functions, matrices, own; const long *place; const double *slope, *square, *linear, *weight, *spread; double freedoms; };
-#define TILE 8
-typedef double tile __attribute__((vector_size(8 * TILE), aligned(8), may_alias));
+   blocks move; 0 of a Gaussian. */
+struct density { long coordinates, functions, matrices; const double *slope, *square, *linear, *weight, *spread; double freedoms; };
 
-static int single_hold(const struct density *of, const double *slack)
+/* Functions (m) along ellipses: now, and what they change by along both axes. */
+struct course { const tile *now, *along, *across; };
+
+static int any(mask which)
 {
-    int hold = 1;
-    for (long i = 10 * of->matrices; i < of->functions; i++) hold &= slack[i] >= 0;
-    return hold;
+    long long found = 0;
+    for (long c = 0; c < TILE; c++) found |= which[c];
+    return found != 0;
 }
 
-/* The pivots (4, matrices) of all matrices: whether all are positive. */
-static int pivots(long n, const double *u, double *p)
+static tile chosen(mask which, tile one, tile other)
 {
-    int hold = 1;
-    for (long i = 0; i < n; i += TILE) {
-        const tile *at[10];
-        for (long k = 0; k < 10; k++) at[k] = (const tile *)(u + k * n + i);
-        tile a = *at[0], b = *at[1], c = *at[2], d = *at[3];
-        tile e = *at[4] - b * b / a, f = *at[5] - b * c / a, g = *at[6] - b * d / a;
-        tile h = *at[7] - c * c / a - f * f / e, r = *at[8] - c * d / a - f * g / e;
-        tile j = *at[9] - d * d / a - g * g / e - r * r / h;
-        *(tile *)(p + i) = a, *(tile *)(p + n + i) = e, *(tile *)(p + 2 * n + i) = h, *(tile *)(p + 3 * n + i) = j;
-        for (long k = 0; k < TILE; k++) hold &= (a[k] > 0) & (e[k] > 0) & (h[k] > 0) & (j[k] > 0);
+    return (tile)(((mask)one & which) | ((mask)other & ~which));
+}
+
+/* What the log-det distance from spread*1 of a matrix u with pivots p weighs beyond the Gaussian that stands in for it,
+   in one chain of a tile. */
+static double distance(double spread, const tile *u, const tile *p, long c)
+{
+    double trace = u[0][c] + u[4][c] + u[7][c] + u[9][c], square = 0;
+    for (long e = 0; e < 10; e++) {
+        int diagonal = e == 0 || e == 4 || e == 7 || e == 9;
+        double off = u[e][c] - (diagonal ? spread : 0);
+        square += (diagonal ? 1 : 2) * off * off;
     }
-    return hold;
+    return square / spread / 4 - (trace - log(p[0][c]) - log(p[1][c]) - log(p[2][c]) - log(p[3][c])) / 2;
 }
 
-/* What log-det distances weigh beyond the Gaussian that stands in for them. */
-static double distances(const struct density *of, const double *u, const double *p)
+/* Which of some chains are possible at a place of their ellipses, and what log-det distances weigh there. */
+static mask possible(const struct density *of, struct course f, tile less, tile sine, mask some, tile *distances)
 {
     long n = of->matrices;
-    double sum = 0;
-    for (long i = 0; i < n; i++) {
-        if (!(of->weight[i] > 0)) continue;
-        double trace = u[i] + u[4 * n + i] + u[7 * n + i] + u[9 * n + i], square = 0, mean = of->spread[i];
-        for (long e = 0; e < 10; e++) {
-            int diagonal = e == 0 || e == 4 || e == 7 || e == 9;
-            double off = u[e * n + i] - (diagonal ? mean : 0);
-            square += (diagonal ? 1 : 2) * off * off;
-        }
-        double determinants = log(p[i]) + log(p[n + i]) + log(p[2 * n + i]) + log(p[3 * n + i]);
-        sum += of->weight[i] * (square / mean / 4 - (trace - determinants) / 2);
+    tile sum = {0};
+    for (long i = 10 * n; i < of->functions; i++) some &= f.now[i] + less * f.along[i] + sine * f.across[i] >= 0;
+    for (long i = 0; i < n && any(some); i++) {
+        tile u[10], p[4];
+        for (long e = 0; e < 10; e++)
+            u[e] = f.now[e * n + i] + less * f.along[e * n + i] + sine * f.across[e * n + i];
+        tile over = 1 / u[0], by = u[1] * over, c = u[5] - u[2] * by, d = u[6] - u[3] * by;
+        p[0] = u[0], p[1] = u[4] - u[1] * by, by = u[2] * over;
+        tile g = u[8] - u[3] * by;
+        p[2] = u[7] - u[2] * by, p[3] = u[9] - u[3] * u[3] * over;
+        over = 1 / p[1], by = c * over, p[2] -= c * by, g -= d * by, p[3] -= d * d * over + g * g / p[2];
+        some &= (p[0] > 0) & (p[1] > 0) & (p[2] > 0) & (p[3] > 0);
+        if (of->weight[i] > 0)
+            for (long l = 0; l < TILE; l++)
+                if (some[l]) sum[l] += of->weight[i] * distance(of->spread[i], u, p, l);
     }
-    return sum;
+    *distances = sum;
+    return some;
 }
 
 static double over_t(double freedoms, long size, double square)
 {
-    return freedoms > 0 ? (freedoms + size) / 2 * log1p(square / freedoms) - square / 2 : 0;
+    return (freedoms + size) / 2 * log1p(square / freedoms) - square / 2;
 }
 
-/* What a tile of functions changes by along both axes of an ellipse: sums over coordinates stay in registers. */
-static void axes(long size, const long *order, const double *restrict slope, long m, const double *restrict now,
-                 const double *restrict to, double *restrict along, double *restrict across)
+/* What functions change by along both axes of ellipses: sums over coordinates stay in registers. */
+static void axes(long size, long functions, const double *slope, const tile *now, const tile *to, tile *along,
+                 tile *across)
 {
-    tile a = {0}, b = {0};
-    for (long n = 0; n < size; n++) {
-        tile s = *(const tile *)(slope + order[n] * m);
-        a += now[n] * s, b += to[n] * s;
+    for (long i = 0; i < functions; i += GROUP, slope += GROUP * size) {
+        tile a[GROUP] = {{0}}, b[GROUP] = {{0}};
+        for (long n = 0; n < size; n++)
+            for (long g = 0; g < GROUP; g++) a[g] += slope[GROUP * n + g] * now[n], b[g] += slope[GROUP * n + g] * to[n];
+        for (long g = 0; g < GROUP; g++) along[i + g] = a[g], across[i + g] = b[g];
     }
-    *(tile *)along = a, *(tile *)across = b;
 }
 
 /* Move every block of every chain once along its ellipse; see `moved` in elliptical_moves.py, which says what is drawn.
 
-   state (k, c), slack (own, c) and log_density (c) change in place; work holds 3*k + 4*m + 4*matrices numbers. */
+   state (k, chains), slack (m, chains) and log_density (chains), of a multiple of TILE chains, change in place; work
+   holds M*k + TILE*(3*k + 3*M) numbers with M the next multiple of GROUP of m. */
 void sweep(const struct density *of, long chains, long tries, long size, const long *order, const double *other,
            const double *square, const double *chance, const double *level, double *state, double *slack,
            double *log_density, double *work)
 {
-    long k = of->coordinates, m = of->functions;
-    double *z = work, *to = z + k, *at = to + k, *here = at + k, *along = here + m, *across = along + m, *there = across + m, *p = there + m;
-    for (long i = 0; i < m; i++) here[i] = 0;
-    for (long i = 0; i < of->matrices; i++)  /* what fills up: matrices that are always possible */
-        here[i] = here[4 * of->matrices + i] = here[7 * of->matrices + i] = here[9 * of->matrices + i] = 1;
-    for (long c = 0; c < chains; c++) {
-        for (long j = 0; j < k; j++) z[j] = state[j * chains + c];
-        for (long i = 0; i < of->own; i++) here[of->place[i]] = slack[i * chains + c];
-        double density = log_density[c];
+    long k = of->coordinates, m = of->functions, filled = (m + GROUP - 1) / GROUP * GROUP;
+    double *slope = work;  /* of GROUP functions by each coordinate of a block, side by side */
+    tile *z = (tile *)(slope + filled * k), *to = z + k, *at = to + k, *here = at + k, *along = here + filled;
+    tile *across = along + filled;
+    for (long first = 0; first < k; first += size) {
+        long count = first + size < k ? size : k - first;
+        for (long i = 0; i < filled; i++)
+            for (long n = 0; n < count; n++)
+                slope[filled * first + i / GROUP * GROUP * count + GROUP * n + i % GROUP] =
+                    i < m ? of->slope[i * k + order[first + n]] : 0;
+    }
+    for (long c = 0; c < chains; c += TILE) {
+        for (long j = 0; j < k; j++) z[j] = *(const tile *)(state + j * chains + c);
+        for (long i = 0; i < m; i++) here[i] = *(const tile *)(slack + i * chains + c);
+        tile density = *(const tile *)(log_density + c);
         for (long first = 0, b = 0; first < k; first += size, b++) {
-            long last = first + size < k ? first + size : k;
-            double rest = 0, before = 0, wide = 1;
+            long count = first + size < k ? size : k - first;
+            tile rest = {0}, before = {0}, threshold = density - *(const tile *)(level + b * chains + c);
             for (long j = 0; j < k; j++) rest += (of->square[j] * z[j] + of->linear[j]) * z[j];
-            for (long n = first; n < last; n++) {
-                double now = z[order[n]];
-                rest -= (of->square[order[n]] * now + of->linear[order[n]]) * now;
-                before += now * now;
+            for (long n = 0; n < count; n++) {
+                long j = order[first + n];
+                at[n] = z[j], to[n] = *(const tile *)(other + (first + n) * chains + c);
+                rest -= (of->square[j] * at[n] + of->linear[j]) * at[n], before += at[n] * at[n];
             }
-            if (of->freedoms > 0) wide = sqrt((of->freedoms + before) / square[b * chains + c]);
-            for (long n = first; n < last; n++) at[n] = z[order[n]], to[n] = wide * other[n * chains + c];
-            for (long i = 0; i < m; i += TILE)
-                axes(last - first, order + first, of->slope + i, m, at + first, to + first, along + i, across + i);
-            double threshold = density - level[b * chains + c] + over_t(of->freedoms, last - first, before);
-            double angle = 0, low = 0, high = 0;
-            for (long t = 0; t < tries; t++) {
-                double drawn = chance[(b * tries + t) * chains + c];
-                angle = t ? low + (high - low) * drawn : TURN * drawn;
-                if (t) *(angle < 0 ? &low : &high) = angle;
-                else high = angle, low = angle - TURN;
-                double less = cos(angle) - 1, sine = sin(angle), ratio = rest, after = 0;
-                for (long i = 0; i < m; i++) there[i] = here[i] + less * along[i] + sine * across[i];
-                if (!single_hold(of, there) || !pivots(of->matrices, there, p)) continue;
-                for (long n = first; n < last; n++) {
-                    long j = order[n];
-                    double then = z[j] + (z[j] * less + to[n] * sine);
-                    ratio += (of->square[j] * then + of->linear[j]) * then;
-                    after += then * then;
+            if (of->freedoms > 0) {
+                tile wide;
+                for (long l = 0; l < TILE; l++) {
+                    wide[l] = sqrt((of->freedoms + before[l]) / square[b * chains + c + l]);
+                    threshold[l] += over_t(of->freedoms, count, before[l]);
                 }
-                double found = ratio + distances(of, there, p);
-                if (!(found + over_t(of->freedoms, last - first, after) > threshold)) continue;
-                for (long n = first; n < last; n++) z[order[n]] += z[order[n]] * less + to[n] * sine;
-                for (long i = 0; i < m; i++) here[i] = there[i];
-                density = found;
-                break;
+                for (long n = 0; n < count; n++) to[n] *= wide;
             }
+            axes(count, filled, slope + filled * first, at, to, along, across);
+            tile low = {0}, high = {0}, cosine = {0}, sine = {0}, less = {0}, more = {0};
+            mask waiting = low == high;
+            for (long t = 0; t < tries && any(waiting); t++) {
+                tile drawn = *(const tile *)(chance + (b * tries + t) * chains + c);
+                tile angle = t ? low + (high - low) * drawn : TURN * drawn, found = rest, after = {0}, distances;
+                if (!t) low = angle - TURN, high = angle;
+                mask below = angle < 0;
+                low = chosen(below, angle, low), high = chosen(below, high, angle);
+                for (long l = 0; l < TILE; l++)
+                    if (waiting[l]) cosine[l] = cos(angle[l]) - 1, sine[l] = sin(angle[l]);
+                mask good = possible(of, (struct course){here, along, across}, cosine, sine, waiting, &distances);
+                if (!any(good)) continue;
+                for (long n = 0; n < count; n++) {
+                    long j = order[first + n];
+                    tile then = at[n] + (at[n] * cosine + to[n] * sine);
+                    found += (of->square[j] * then + of->linear[j]) * then, after += then * then;
+                }
+                found += distances;
+                tile reached = found;
+                for (long l = 0; l < TILE && of->freedoms > 0; l++) reached[l] += over_t(of->freedoms, count, after[l]);
+                good &= reached > threshold, waiting &= ~good;
+                less = chosen(good, cosine, less), more = chosen(good, sine, more), density = chosen(good, found, density);
+            }
+            for (long n = 0; n < count; n++) z[order[first + n]] = at[n] + (at[n] * less + to[n] * more);
+            for (long i = 0; i < m; i++) here[i] = here[i] + less * along[i] + more * across[i];
         }
-        for (long j = 0; j < k; j++) state[j * chains + c] = z[j];
-        for (long i = 0; i < of->own; i++) slack[i * chains + c] = here[of->place[i]];
-        log_density[c] = density;
+        for (long j = 0; j < k; j++) *(tile *)(state + j * chains + c) = z[j];
+        for (long i = 0; i < m; i++) *(tile *)(slack + i * chains + c) = here[i];
+        *(tile *)(log_density + c) = density;
     }
 }

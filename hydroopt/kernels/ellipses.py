@@ -16,11 +16,15 @@ from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.spatial.inertia import Array
 
 
+TILE, GROUP = 4, 6
+"""Of ellipses.c: chains side by side, and functions whose sums are computed at a time."""
+
+
 class _Density(ctypes.Structure):
     """The structure `density` of ellipses.c."""
 
-    _fields_ = (*((name, ctypes.c_long) for name in ("coordinates", "functions", "matrices", "own")),
-                *((name, ctypes.c_void_p) for name in ("place", "slope", "square", "linear", "weight", "spread")),
+    _fields_ = (*((name, ctypes.c_long) for name in ("coordinates", "functions", "matrices")),
+                *((name, ctypes.c_void_p) for name in ("slope", "square", "linear", "weight", "spread")),
                 ("freedoms", ctypes.c_double))
 
 
@@ -33,28 +37,22 @@ class Sweeper:
         linear: (k,) those of the coordinates themselves.
         weight: (b,) weights of the matrices' log-det distances, 0 where there is none.
         spread: (b,) from which matrices have that distance.
-        freedoms: of the Student-t about which blocks move; 0 of a Gaussian.
+        freedoms: of the Student-t about which blocks move where matrices have such distances; 0 of a Gaussian.
     """
 
     def __init__(self, sweep: Callable[..., None], slope: Array, square: Array, linear: Array, weight: Array,
                  spread: Array, freedoms: float) -> None:
-        (own, coordinates), matrices = slope.shape, len(weight)
-        wide = _filled(matrices)
-        entries = np.arange(10 * matrices).reshape(10, matrices) + (wide - matrices) * np.arange(10)[:, None]
-        place = np.concatenate([entries.ravel(), np.arange(own - 10 * matrices) + 10 * wide]).astype(np.int_)
-        functions = _filled(10 * wide + own - 10 * matrices)
-        slopes, weights, spreads = np.zeros((coordinates, functions)), np.zeros(wide), np.ones(wide)
-        slopes[:, place], weights[:matrices], spreads[:matrices] = slope.T, weight, spread
-        alike = (np.ascontiguousarray(each, dtype=float) for each in (square, linear))
-        held = [place, slopes, *alike, weights, spreads]
+        (functions, coordinates), matrices = slope.shape, len(weight)
+        held = [np.ascontiguousarray(each, dtype=float) for each in (slope, square, linear, weight, spread)]
         self._sweep, self._held = sweep, held
-        self._density = _Density(coordinates, functions, wide, own, *(each.ctypes.data for each in held), freedoms)
-        self._work = np.empty(3 * coordinates + 4 * functions + 4 * wide)
+        self._density = _Density(coordinates, functions, matrices, *(each.ctypes.data for each in held), freedoms)
+        filled = -(-functions // GROUP) * GROUP
+        self._work = np.empty(filled * coordinates + TILE * (3 * coordinates + 3 * filled))
 
     def __call__(self, size: int, order: NDArray[np.intp], other: Array, square: Array, chance: Array, level: Array,
                  state: Array, slack: Array, log_density: Array) -> None:
         """Move every block of `size` coordinates of all chains once; state (k, c), slack (m, c) and log-density (c,)
-        change in place.
+        change in place; c is a multiple of `TILE`.
 
         Args:
             size: of a block; the last one may be smaller.
@@ -65,15 +63,11 @@ class Sweeper:
             level: (blocks, c) by which the log-density may fall at most.
         """
         changed = (state, slack, log_density)
+        assert state.shape[1] % TILE == 0
         assert all(each.flags.c_contiguous and each.dtype == float for each in (*changed, other, square, chance, level))
         self._sweep(ctypes.byref(self._density), state.shape[1], chance.shape[1], size,
-                    np.ascontiguousarray(order, dtype=np.int_).ctypes.data,
+                    np.ascontiguousarray(order, dtype=ctypes.c_long).ctypes.data,
                     *(each.ctypes.data for each in (other, square, chance, level, *changed, self._work)))
-
-
-def _filled(count: int) -> int:
-    """The next multiple of `TILE` in ellipses.c."""
-    return -(-count // 8) * 8
 
 
 @cache

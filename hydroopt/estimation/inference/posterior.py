@@ -13,7 +13,7 @@ constraint, and those of the active set alone too small.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import casadi as ca
@@ -49,46 +49,50 @@ NEARER = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
-    """Samples (s, p) of the parameters, their mean (p,), and how they were drawn in words.
-
-    `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
-    `converged` tells whether the chains reached their stationary distribution. `truncated` is the Gaussian that
-    conditions cut off, with their slack (m, s) at the samples; None where the posterior is another one.
-    """
+class Drawn:
+    """Samples (s, p) of the parameters; where nothing but a Gaussian is cut off, also that Gaussian, with the slack
+    (m, s) of its conditions at the samples."""
 
     samples: Array
-    mean: Array | None
-    note: str
-    converged: bool = True
-    truncated: tuple[TruncatedGaussian, Array] | None = None
+    truncated: tuple[TruncatedGaussian, Array] | None
 
-    def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
-        """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
-        if rows is None:
-            return self._own.std.copy(), self._own.interval.copy()
-        alone = (np.count_nonzero(rows, axis=1) == 1) & (np.max(rows, axis=1, initial=0.0) == 1)
-        at = np.argmax(rows[alone], axis=1)
-        std, interval = np.empty(len(rows)), np.empty((len(rows), 2))
-        std[alone], interval[alone] = self._own.std[at], self._own.interval[at]
-        _, std[~alone], interval[~alone] = self._marginal(rows[~alone])
-        return std, interval
-
-    @cached_property
-    def _own(self) -> Marginal:
-        """Of the parameters."""
-        return self._marginal(np.eye(self.samples.shape[1]))
-
-    @property
-    def means(self) -> Array:
-        """Means (p,) of the parameters one by one, which may miss what binds them together by rounding and chance."""
-        return self._own.mean
-
-    def _marginal(self, rows: Array) -> Marginal:
+    def marginal(self, rows: Array) -> Marginal:
+        """Distributions of linear sums (k, p) of the parameters."""
         if self.truncated is not None:
             return self.truncated[0].marginal(self.samples, self.truncated[1], rows)
         values = self.samples @ rows.T
         return Marginal(values.mean(axis=0), values.std(axis=0), np.quantile(values, [TAIL, 1 - TAIL], axis=0).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What samples say of the parameters one by one, their mean (p,), and how they were drawn in words.
+
+    `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
+    `converged` tells whether the chains reached their stationary distribution.
+    """
+
+    drawn: Drawn
+    own: Marginal
+    mean: Array | None
+    note: str
+    converged: bool = True
+
+    @property
+    def samples(self) -> Array:
+        """Those (s, p) of the parameters."""
+        return self.drawn.samples
+
+    def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
+        """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
+        if rows is None:
+            return self.own.std.copy(), self.own.interval.copy()
+        alone = (np.count_nonzero(rows, axis=1) == 1) & (np.max(rows, axis=1, initial=0.0) == 1)
+        at = np.argmax(rows[alone], axis=1)
+        std, interval = np.empty(len(rows)), np.empty((len(rows), 2))
+        std[alone], interval[alone] = self.own.std[at], self.own.interval[at]
+        _, std[~alone], interval[~alone] = self.drawn.marginal(rows[~alone])
+        return std, interval
 
 
 def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consistent: bool,
@@ -144,17 +148,18 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         slack.append(chains.slack.copy())
     samples = np.concatenate(kept)
     gaussian_alone = not inequalities.heavy_tailed and user.inequality is None
-    truncated = (TruncatedGaussian(gaussian, inequalities.slope, inequalities.matrix_count),
-                 np.concatenate(slack, axis=1)) if gaussian_alone else None
+    drawn = Drawn(samples, (TruncatedGaussian(gaussian, inequalities.slope, inequalities.matrix_count),
+                            np.concatenate(slack, axis=1)) if gaussian_alone else None)
+    own = drawn.marginal(np.eye(samples.shape[1]))
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", which did not converge"))
-    found = Posterior(samples, None, note, settled, truncated)
-    for mean in (found.means, samples.mean(axis=0)):  # the first is more exact, the second within what is convex
+    # means one by one are more exact, but may miss what binds them together; those of samples are within what is convex
+    for mean in (own.mean, samples.mean(axis=0)):
         centre = np.linalg.lstsq(slope, ((mean - gaussian.offset) / scale)[:, None], rcond=None)[0][:, 0]
         if inequalities.possible(centre):
-            return replace(found, mean=gaussian.offset + gaussian.slope @ centre)
-    return found
+            return Posterior(drawn, own, gaussian.offset + gaussian.slope @ centre, note, settled)
+    return Posterior(drawn, own, None, note, settled)
 
 
 @dataclass(frozen=True, eq=False)
