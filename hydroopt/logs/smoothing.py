@@ -234,12 +234,12 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
             where: str) -> tuple[Array, Array, NDArray[np.int64], list[str]]:
     refuse_too_short(t.size, where)
     out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
-    passes = np.ones(q.shape[1], dtype=int)
+    passes, pieces = np.ones(q.shape[1], dtype=int), spline.Pieces.one(t)
     for joint, column in enumerate(q.T):
         stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
-        fitted = spline.fit(t, column, stated, smoothing.bandwidth)
+        fitted = pieces.fit(column, stated, smoothing.bandwidth)
         for order in range(3):
-            out[order, :, joint] = fitted(t, order)
+            out[order, :, joint] = fitted.at_samples(order)
         corners[joint], passes[joint] = fitted.bandwidth, fitted.filter.passes
         name = names[joint] if names else f"joint {joint + 1}"
         notes.append(smoothing_note(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))

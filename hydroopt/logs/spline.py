@@ -12,7 +12,7 @@ at the same frequency, but all below it: `SHARP` = 4 of them damp 0.15 % at 0.6 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, factorial
 
@@ -87,7 +87,14 @@ class SmoothSpline:
 
     def __call__(self, t: Array, derivative: int = 0) -> Array:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
-        rows = self.basis.derivative(self.basis.places(t), derivative)
+        return self._at(self.basis.places(t), derivative)
+
+    def at_samples(self, derivative: int = 0) -> Array:
+        """The same (N,) at the samples' own times."""
+        return self._at(self.basis.x, derivative)
+
+    def _at(self, x: Array, derivative: int) -> Array:
+        rows = self.basis.derivative(x, derivative)
         return np.asarray(rows @ self.coefficients) / self.basis.spacing**derivative
 
     def again(self, y: Array) -> "SmoothSpline":
@@ -102,52 +109,84 @@ class SmoothSpline:
         return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled))).T
 
 
+class Pieces:
+    """The times (N,) of a motion's pieces on a grid of knots, and what the smoothing of all its joints shares."""
+
+    def __init__(self, times: Sequence[Array], grid: Grid) -> None:
+        self.times, self.grid = times, grid
+        self._freedom: dict[float, float] = {}
+
+    @classmethod
+    def one(cls, t: Array) -> "Pieces":
+        """An uninterrupted motion sampled at t (N,)."""
+        return cls([t], Grid.of(t))
+
+    @cached_property
+    def bases(self) -> "list[Basis]":
+        """The splines of every piece."""
+        return [Basis(t, self.grid) for t in self.times]
+
+    @cached_property
+    def coarser(self) -> "Pieces":
+        """The same with wider knots."""
+        return Pieces(self.times, replace(self.grid, every=6.0 * self.grid.every))
+
+    def choose(self, values: Sequence[Array], noise: float | None,
+               bandwidth: float | None = None) -> "tuple[list[Basis], Filter]":
+        """The splines of every piece, and the one filter that suits samples (N,) of all pieces best; arguments as of
+        `fit`.
+        """
+        chosen = Filter(self._best(values, noise))
+        if bandwidth is not None and min(basis.bandwidth(chosen) for basis in self.bases) > bandwidth:
+            chosen = min((basis.filter_of(bandwidth, SHARP) for basis in self.bases), key=lambda one: one.log_weight)
+        if chosen.log_weight < _HIGHEST - 0.5 or min(basis.intervals for basis in self.bases) <= 3:
+            return self.bases, chosen
+        return self.coarser.choose(values, noise, bandwidth)
+
+    def fit(self, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
+        """The smoothing of samples (N,) of a motion of one piece; arguments as of the function `fit`."""
+        bases, chosen = self.choose([y], noise, bandwidth)
+        return bases[0].spline(y, chosen)
+
+    @cached_property
+    def _probes(self) -> list[Array]:
+        """Right-hand sides of Hutchinson's estimator of traces, with fixed signs, others for each piece."""
+        rng = np.random.default_rng(0)
+        return [basis.design.gathered(rng.choice([-1.0, 1.0], (t.size, _PROBES)))
+                for basis, t in zip(self.bases, self.times, strict=True)]
+
+    def _best(self, values: Sequence[Array], noise: float | None) -> float:
+        """log10 λ of least estimated risk."""
+        n = sum(y.size for y in values)
+        own = [basis.design.gathered(y)[:, None] for basis, y in zip(self.bases, values, strict=True)]
+
+        def risk(log_weight: float) -> float:
+            known, rss, freedom = log_weight in self._freedom, 0.0, 0.0
+            for basis, y, right, probes in zip(self.bases, values, own, self._probes, strict=True):
+                try:
+                    c = basis.solve(Filter(log_weight), right if known else np.hstack([right, probes]))
+                except LinAlgError:
+                    return np.inf
+                rss += float(np.sum((y - basis.design @ c[:, 0]) ** 2))
+                freedom += 0.0 if known else float(np.sum(probes * c[:, 1:])) / _PROBES
+            freedom = self._freedom.setdefault(log_weight, freedom)
+            if noise is not None:
+                return rss / n + 2 * noise**2 * freedom / n
+            return float(np.log(max(rss / n, 1e-300)) - 2 * np.log(max(1 - freedom / n, 1e-9)))
+
+        exponents = np.linspace(_LOWEST, _HIGHEST, 9).tolist()
+        lowest = int(np.argmin([risk(g) for g in exponents]))
+        around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, len(exponents) - 1)])
+        return bounded_minimum(risk, *around, tolerance=0.03)[0]
+
+
 def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
     """Smoothing spline through `y` (N,) at increasing times `t` (N,) [s], N >= MIN_SAMPLES.
 
     `noise` is the standard deviation of y's noise in y's unit; None asks for generalised cross-validation. Of a motion
     known to end at a `bandwidth` [Hz], no more is passed than half of that frequency.
     """
-    bases, chosen = choose([(t, y)], Grid.of(t), noise, bandwidth)
-    return bases[0].spline(y, chosen)
-
-
-def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, noise: float | None,
-           bandwidth: float | None = None) -> tuple[list["Basis"], Filter]:
-    """The splines of every piece (t, y) of a motion, and the one filter that suits all pieces best."""
-    while True:
-        bases = [Basis(t, grid) for t, _ in pieces]
-        chosen = Filter(_best(bases, [y for _, y in pieces], noise))
-        if bandwidth is not None and min(basis.bandwidth(chosen) for basis in bases) > bandwidth:
-            chosen = min((basis.filter_of(bandwidth, SHARP) for basis in bases), key=lambda one: one.log_weight)
-        if chosen.log_weight < _HIGHEST - 0.5 or min(basis.intervals for basis in bases) <= 3:
-            return bases, chosen
-        grid = Grid(grid.origin, grid.duration, grid.steps, 6.0 * grid.every)
-
-
-def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None) -> float:
-    """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes, others for each piece."""
-    n, rng = sum(y.size for y in values), np.random.default_rng(0)
-    rights = [basis.design.gathered(np.column_stack([y, rng.choice([-1.0, 1.0], (y.size, _PROBES))]))
-              for basis, y in zip(bases, values, strict=True)]
-
-    def risk(log_weight: float) -> float:
-        rss = freedom = 0.0
-        for basis, y, right in zip(bases, values, rights, strict=True):
-            try:
-                c = basis.solve(Filter(log_weight), right)
-            except LinAlgError:
-                return np.inf
-            rss += float(np.sum((y - basis.design @ c[:, 0]) ** 2))
-            freedom += float(np.sum(right[:, 1:] * c[:, 1:])) / _PROBES
-        if noise is not None:
-            return rss / n + 2 * noise**2 * freedom / n
-        return float(np.log(max(rss / n, 1e-300)) - 2 * np.log(max(1 - freedom / n, 1e-9)))
-
-    exponents = np.linspace(_LOWEST, _HIGHEST, 9)
-    lowest = int(np.argmin([risk(g) for g in exponents]))
-    around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, exponents.size - 1)])
-    return bounded_minimum(risk, *around, tolerance=0.03)[0]
+    return Pieces.one(t).fit(y, noise, bandwidth)
 
 
 class Basis:

@@ -80,9 +80,10 @@ def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, smoothing: Smoothi
     """
     refuse_too_slow(smoothing, grid.duration, where)
     grids, filters, corners, notes = [], [], [], []
+    shared = spline.Pieces([t for t, _ in pieces], grid)
     for j, name in enumerate(names):
         stated = None if smoothing.cross_validate or np.isnan(noise[j]) else float(noise[j])
-        bases, chosen = spline.choose([(t, q[:, j]) for t, q in pieces], grid, stated, smoothing.bandwidth)
+        bases, chosen = shared.choose([q[:, j] for _, q in pieces], stated, smoothing.bandwidth)
         fitted = [basis.spline(q[:, j], chosen) for basis, (_, q) in zip(bases, pieces, strict=True)]
         sizes = [t.size for t, _ in pieces]
         residual = float(np.sqrt(np.average([one.residual**2 for one in fitted], weights=sizes)))

@@ -58,7 +58,7 @@ def test_one_weight_for_several_pieces_lies_among_their_own() -> None:
     rng = np.random.default_rng(5)
     pieces = [(t, np.sin(w * t) + NOISE * rng.standard_normal(t.size)) for t, w in ((T[:400], 1.0), (T[450:], 4.0))]
     own = [spline.fit(t, y, NOISE) for t, y in pieces]
-    bases, chosen = spline.choose(pieces, Grid.of(T), NOISE)
+    bases, chosen = spline.Pieces([t for t, _ in pieces], Grid.of(T)).choose([y for _, y in pieces], NOISE)
 
     def weight(basis: spline.Basis, log_weight: float) -> float:
         return 10.0**log_weight * basis.spacing**5

@@ -270,14 +270,18 @@ class View:
     def smoothed(self, course: Array, joint: int) -> Array:
         """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
         motion, made = self.motion, np.zeros((3, len(course)))
-        for a, b in stretches(motion.segment):
-            if b - a < MIN_SAMPLES:
-                continue
-            basis, t = Basis(motion.t[a:b], Grid.of(motion.t[a:b])), motion.t[a:b]
+        for a, b, basis in self._splines:
             chosen = basis.filter_of(float(motion.bandwidth[joint]), int(motion.passes[joint]))
             curve = basis.spline(course[a:b], chosen)
-            made[:, a:b] = [curve(t, order) for order in range(3)]
+            made[:, a:b] = [curve.at_samples(order) for order in range(3)]
         return made
+
+    @cached_property
+    def _splines(self) -> list[tuple[int, int, Basis]]:
+        """First sample of each stretch, one after its last, and splines at its times."""
+        t = self.motion.t
+        return [(a, b, Basis(t[a:b], Grid.of(t[a:b]))) for a, b in stretches(self.motion.segment)
+                if b - a >= MIN_SAMPLES]
 
     def _followed_closer(self, joints: Sequence[int]) -> Motion:
         """The motion with these joints' positions followed closer, since smoothing takes away some of the motion.
