@@ -19,8 +19,11 @@ import platformdirs
 from hydroopt import files
 
 
-def folder() -> Path:
-    """The cache: ``$HYDROOPT_CACHE`` or the user's folder for such; made if it is missing.
+def folder(part: str = "") -> Path:
+    """The cache: ``$HYDROOPT_CACHE`` or the user's folder for such, or a folder in it; made if it is missing.
+
+    What is looked for by the beginning of its name is kept in parts: to list thousands of files takes longer than to
+    load a kernel.
 
     Raises:
         PermissionError: others than this user can write there; the message names the folder.
@@ -28,7 +31,7 @@ def folder() -> Path:
     """
     stated = os.environ.get("HYDROOPT_CACHE")
     try:
-        path = Path(os.path.realpath(stated or platformdirs.user_cache_path("hydroopt")))
+        path = Path(os.path.realpath(stated or platformdirs.user_cache_path("hydroopt"))) / part
     except RuntimeError:
         raise FileNotFoundError("this user has no home") from None
     for part in reversed([part for part in (path, *path.parents) if not part.exists()]):

@@ -242,7 +242,7 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> c
         return by.compile(write(), place)
 
     try:
-        return _kept(cache.folder(), key.hexdigest()[:32], compiled)
+        return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
     except OSError as error:
         notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
                "folder to which you alone can write")

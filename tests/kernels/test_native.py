@@ -77,14 +77,14 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
 def planted(folder: Path, content: bytes | None = None) -> Path:
     """In place of the kernel that was kept: another library, or garbage, under the name that its content asks for."""
-    (kept,) = folder.glob("*.so")
+    (kept,) = folder.glob("*/*.so")
     if content is None:
         subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", "evil.so"], input=EVIL.encode(), check=True,
                        cwd=folder)
         content = (folder / "evil.so").read_bytes()
         (folder / "evil.so").unlink()
     kept.unlink()
-    evil = folder / f"{kept.name.partition('-')[0]}-{hashlib.sha256(content).hexdigest()[:32]}.so"
+    evil = kept.parent / f"{kept.name.partition('-')[0]}-{hashlib.sha256(content).hexdigest()[:32]}.so"
     evil.write_bytes(content)
     evil.chmod(0o700)
     return evil
@@ -94,7 +94,7 @@ def test_a_kernel_is_compiled_once_and_nothing_else_is_left(folder: Path, compil
     assert evaluated() == RIGHT
     assert evaluated() == RIGHT
     assert len(compiled) == 1
-    (kept,) = folder.iterdir()
+    ((kept,),) = (part.iterdir() for part in folder.iterdir())
     assert kept.stat().st_mode & 0o777 == 0o700
     assert not list((folder.parents[1] / "tmp").iterdir())
 
@@ -124,7 +124,7 @@ def test_what_this_user_put_there_is_loaded(folder: Path, compiled: list[Path]) 
     assert evaluated() == [666] * len(X)
 
 
-@pytest.mark.parametrize("attack", ["open folder", "open parent", "open file", "link", "owner"])
+@pytest.mark.parametrize("attack", ["open folder", "open part", "open parent", "open file", "link", "owner"])
 def test_no_library_is_loaded_that_others_could_have_written(attack: str, folder: Path, compiled: list[Path],
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     evaluated()
@@ -132,6 +132,8 @@ def test_no_library_is_loaded_that_others_could_have_written(attack: str, folder
     match attack:
         case "open folder":
             folder.chmod(0o777)
+        case "open part":
+            evil.parent.chmod(0o777)
         case "open parent":
             folder.parent.chmod(0o770)
         case "open file":
@@ -154,11 +156,11 @@ def test_garbage_is_compiled_again(content: bytes, folder: Path, compiled: list[
     assert evaluated() == RIGHT
     assert len(compiled) == 2
     assert not garbage.exists()
-    cut = next(folder.glob("*.so"))
+    cut = next(folder.glob("*/*.so"))
     cut.write_bytes(cut.read_bytes()[:-1])
     assert evaluated() == RIGHT
     assert len(compiled) == 3
-    assert len(list(folder.iterdir())) == 1
+    assert len(list(folder.glob("*/*"))) == 1
 
 
 def test_without_a_cache_kernels_are_compiled_in_a_private_place(folder: Path, compiled: list[Path],
@@ -196,7 +198,7 @@ def test_processes_that_start_at_once_with_an_empty_cache_agree(folder: Path) ->
     code = "import sys; sys.path.insert(0, sys.argv[1]); import test_native as t; assert t.evaluated() == t.RIGHT"
     running = [subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent)]) for _ in range(3)]
     assert [process.wait() for process in running] == [0] * 3
-    assert {file.suffix for file in folder.iterdir()} == {".so"}
+    assert {file.suffix for file in folder.glob("*/*")} == {".so"}
 
 
 @pytest.mark.parametrize(("command", "why"), [
@@ -279,7 +281,7 @@ def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(folder: Path, c
     assert "no answer within 1 s" in caplog.text
     pid = int(told.read_text())
     assert _ends(pid, within=10.0)
-    assert not list(folder.iterdir())
+    assert not list(folder.glob("*/*"))
 
 
 def _ends(pid: int, within: float) -> bool:
@@ -323,6 +325,6 @@ def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(native, "LONG", 100)
     monkeypatch.setattr(native, "PIECE", 5)
     assert "passed[1]" in source(program(made))
-    monkeypatch.setattr(native.cache, "folder", lambda: (_ for _ in ()).throw(OSError("not kept")))
+    monkeypatch.setattr(native.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
     (pieces,) = Runner().over(made, at)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-14)
