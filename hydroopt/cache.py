@@ -34,8 +34,8 @@ def folder(part: str = "") -> Path:
         path = Path(os.path.realpath(stated or platformdirs.user_cache_path("hydroopt"))) / part
     except RuntimeError:
         raise FileNotFoundError("this user has no home") from None
-    for part in reversed([part for part in (path, *path.parents) if not part.exists()]):
-        part.mkdir(mode=0o700, exist_ok=True)
+    for missing in reversed([each for each in (path, *path.parents) if not each.exists()]):
+        missing.mkdir(mode=0o700, exist_ok=True)
     if not path.is_dir():
         raise NotADirectoryError(f"'{path}' is a file")
     _refuse_foreign(path)

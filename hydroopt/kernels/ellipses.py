@@ -15,7 +15,6 @@ from hydroopt.kernels import native
 from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.spatial.inertia import Array
 
-
 TILE, GROUP = 4, 6
 """Of ellipses.c: chains side by side, and functions whose sums are computed at a time."""
 

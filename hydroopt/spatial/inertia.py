@@ -15,6 +15,10 @@ NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_xz", "I_yy", "I_yz", "I
 UNITS = ("kg", *["kg*m"] * 3, *["kg*m^2"] * 6)
 
 
+UPPER = np.triu_indices(3)
+"""Rows and columns of ``xx…zz`` in a tensor."""
+
+
 def tensor(six: Any) -> Any:
     """Symmetric matrix (3, 3) of ``(xx, xy, xz, yy, yz, zz)`` (Eq. 4.13)."""
     xx, xy, xz, yy, yz, zz = six
@@ -28,7 +32,7 @@ def from_centre_of_mass(m: Any, com: Any, inertia: Any) -> Any:
     """
     c = np.asarray(com)
     about_origin = tensor(inertia) + m * ((c @ c) * np.eye(3) - np.outer(c, c))
-    return np.concatenate([[m], m * c, about_origin[np.triu_indices(3)]])
+    return np.concatenate([[m], m * c, about_origin[UPPER]])
 
 
 def pseudo_inertia(phi: Any) -> Array:
@@ -51,7 +55,7 @@ def from_pseudo_inertia(matrix: Array) -> Array:
     """φ (10,) of a pseudo-inertia matrix (4, 4); the inverse of `pseudo_inertia`."""
     second = matrix[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[np.triu_indices(3)]])
+    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[UPPER]])
 
 
 ODD_MOMENTS = {"xy": (3, 6, 8), "xz": (2, 5, 8), "yz": (1, 5, 6)}

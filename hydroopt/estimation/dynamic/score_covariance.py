@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -92,44 +92,79 @@ def correlation_time(spectra: Sequence[Spectrum], sigma: Array) -> Array:
     return np.maximum(1.0, 1 / (np.array([spectrum.weight for spectrum in spectra]) * sigma**2))
 
 
-def spectra_in_motion(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array,
-                      least: Array) -> tuple[Spectrum, ...]:
-    """Spectra of each actuator's residuals, arguments as of `score_covariance`, by the samples in motion alone."""
-    return band_variances(_together(logs).channels(), sigma, problem.prior_rows, problem.parameters.scale, least**2)
-
-
-def _together(logs: Sequence[ActuatorBands]) -> ActuatorBands:
-    together = logs[0].copy()
-    for more in logs[1:]:
-        together.add(more)
-    return together
-
-
-def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array,
-                     holds: Sequence[HoldEquations], psi: Array) -> ScoreCovariance:
-    """The information of each actuator about ψ by the covariance of its score.
+class InMotion:
+    """The equations of logs in motion, and the spectra of their residuals by these alone.
 
     Args:
         problem: the priors under which residuals are computed.
         logs: equations of each log by frequency.
         sigma: (n,) standard deviation of each actuator's residual.
         least: (n,) standard deviation below which no frequency's is.
+    """
+
+    def __init__(self, problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array) -> None:
+        self.parameters, self.prior = problem.parameters, problem.prior_rows
+        self.logs, self.sigma, self.least = logs, sigma, least
+        self.together = logs[0].copy()
+        for more in logs[1:]:
+            self.together.add(more)
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """The rows of each actuator, of all logs together."""
+        return self.together.channels()
+
+    @cached_property
+    def spectra(self) -> tuple[Spectrum, ...]:
+        """Spectra of each actuator's residuals."""
+        return band_variances(self.channels, self.sigma, self.prior, self.parameters.scale, self.least**2)
+
+    @property
+    def correlation_time(self) -> Array:
+        """See `correlation_time`."""
+        return correlation_time(self.spectra, self.sigma)
+
+    def beside(self, channels: Sequence[Channel], sigma: Array, least: Array) -> tuple[Spectrum, ...]:
+        """Spectra of all residuals, those of other channels with arguments alike after those of the actuators."""
+        scale = self.parameters.scale
+        if not any(np.any(one.counts) for one in channels):  # then they change nothing
+            return *self.spectra, *band_variances(channels, sigma, self.prior, scale, least**2)
+        return band_variances([*self.channels, *channels], np.append(self.sigma, sigma), self.prior, scale,
+                              np.append(self.least, least) ** 2)
+
+    def split_halves(self) -> tuple[SplitHalf, ...]:
+        """The tests of no difference between the halves of each log.
+
+        Residuals are those of a fit that permits the difference, which would otherwise pass for noise.
+        """
+        scale, (rows, right) = self.parameters.scale, self.prior
+        wide = np.concatenate([scale, *(scale[columns] for columns in self.together.contrast)])
+        rows = np.hstack([rows, np.zeros((len(rows), len(wide) - len(scale)))])
+        channels = self.together.channels(contrasts=True)
+        spectra = band_variances(channels, self.sigma, (rows, right), wide, self.least**2)
+        each = [channels] if len(self.logs) == 1 else [log.channels(contrasts=True) for log in self.logs]
+        return tuple(_split_half(one, spectra, self.prior, scale, wide) for one in each)
+
+
+def score_covariance(motion: InMotion, holds: Sequence[HoldEquations], psi: Array) -> ScoreCovariance:
+    """The information of each actuator about ψ by the covariance of its score.
+
+    Args:
+        motion: equations in motion.
         holds: equations of each actuator at rest.
         psi: (p,) parameters by least squares.
     """
-    scale, prior = problem.parameters.scale, problem.prior_rows
-    together = _together(logs)
-    channels = together.channels()
+    scale, channels = motion.parameters.scale, motion.channels
     at_rest = [one.channel(BANDS) for one in holds]
-    found = band_variances([*channels, *at_rest], np.append(sigma, [one.initial_std for one in holds]), prior, scale,
-                           np.append(least, [one.least for one in holds]) ** 2)
+    found = motion.beside(at_rest, np.array([one.initial_std for one in holds]),
+                          np.array([one.least for one in holds]))
     spectra, between_holds = found[: len(channels)], found[len(channels):]
     between_logs: float = np.nan
     shared: list[list[Shared]] = [[] for _ in channels]
-    if len(logs) > 1:
-        between_logs, shared = _between(logs, channels, spectra, problem.parameters, prior)
+    if len(motion.logs) > 1:
+        between_logs, shared = _between(motion.logs, channels, spectra, motion.parameters, motion.prior)
     means = [one.mean(float(spectrum.variance[0])) for one, spectrum in zip(holds, between_holds, strict=True)]
-    noise = dict(_noise(together, channels, spectra, psi))
+    noise = dict(_noise(motion.together, channels, spectra, psi))
     rows = [_rows_at_rest(channel, spectrum, mean, len(scale))
             for channel, spectrum, mean in zip(at_rest, between_holds, means, strict=True)]
     return ScoreCovariance(
@@ -137,8 +172,7 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
                          noise.get(i))
               for i, (channel, spectrum, hold, between, mean, extra)
               in enumerate(zip(channels, spectra, at_rest, between_holds, means, shared, strict=True))),
-        correlation_time(spectra, sigma), between_logs,
-        _split_halves(logs, together, sigma, prior, scale, least), tuple(rows))
+        correlation_time(spectra, motion.sigma), between_logs, motion.split_halves(), tuple(rows))
 
 
 def _noise(logs: ActuatorBands, channels: Sequence[Channel], spectra: Sequence[Spectrum],
@@ -274,24 +308,12 @@ def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spect
                         tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams))
 
 
-def _split_halves(logs: Sequence[ActuatorBands], together: ActuatorBands, sigma: Array, prior: tuple[Array, Array],
-                  scale: Array, least: Array) -> tuple[SplitHalf, ...]:
-    """The tests of no difference between the halves of each log.
-
-    Residuals are those of a fit that permits the difference, which would otherwise pass for noise.
-    """
-    wide = np.concatenate([scale, *(scale[columns] for columns in together.contrast)])
-    rows = np.hstack([prior[0], np.zeros((len(prior[0]), len(wide) - len(scale)))])
-    spectra = band_variances(together.channels(contrasts=True), sigma, (rows, prior[1]), wide, least**2)
-    return tuple(_split_half(log, spectra, prior, scale, wide) for log in logs)
-
-
-def _split_half(log: ActuatorBands, spectra: Sequence[Spectrum], prior: tuple[Array, Array], scale: Array,
+def _split_half(log: Sequence[Channel], spectra: Sequence[Spectrum], prior: tuple[Array, Array], scale: Array,
                 wide: Array) -> SplitHalf:
     """The test of one log; all other parameters are the same in both halves."""
     p = len(scale)
     scores = [score_rows(channel, spectrum, wide)
-              for channel, spectrum in zip(log.channels(contrasts=True), spectra, strict=True)]
+              for channel, spectrum in zip(log, spectra, strict=True)]
     rows = np.vstack([one.rows for one in scores]) * wide
     right = np.concatenate([*(one.right for one in scores), prior[1]])
     freedom = np.concatenate([*(one.freedom for one in scores), np.full(len(prior[1]), np.inf)])

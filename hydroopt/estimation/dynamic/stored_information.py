@@ -147,8 +147,8 @@ def information_csv(machine: Machine, names: Sequence[str], triangles: Array, fr
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_header(names))
     for owner, triangle, of_rows in zip(_owners(machine, len(triangles)), triangles, freedom, strict=True):
-        writer.writerows([owner, *(repr(float(value)) if value else "0" for value in (*row, own))]
-                         for row, own in zip(triangle, of_rows, strict=True))
+        writer.writerows([owner, *(value or 0 for value in row), own or 0]
+                         for row, own in zip(triangle.tolist(), of_rows.tolist(), strict=True))
     return text.getvalue()
 
 

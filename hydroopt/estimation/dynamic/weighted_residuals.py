@@ -22,12 +22,7 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     compress_jointly,
     compressed,
 )
-from hydroopt.estimation.dynamic.score_covariance import (
-    SplitHalf,
-    correlation_time,
-    score_covariance,
-    spectra_in_motion,
-)
+from hydroopt.estimation.dynamic.score_covariance import InMotion, SplitHalf, score_covariance
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
@@ -238,11 +233,12 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()
     least, wide = _smallest(_rms_force(problem, data)) if problem.reweight else sigma, sigma
+    motion = InMotion(problem, folded, sigma, least)
     if np.any(holds.counts):
-        wide = sigma * np.sqrt(correlation_time(spectra_in_motion(problem, folded, sigma, least), sigma))
+        wide = sigma * np.sqrt(motion.correlation_time)
     equations = tuple(holds.equations(_second_moments(problem, data, wide, priors, stated),
                                       np.nan_to_num(problem.force_std)))
-    found = score_covariance(problem, folded, sigma, least, equations, psi)
+    found = score_covariance(motion, equations, psi)
     # correlated residuals carry less information than as many independent ones
     wide = sigma * np.sqrt(found.correlation_time)
     plain = data.weighted(wide)
