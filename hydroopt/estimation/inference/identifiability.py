@@ -94,7 +94,8 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = STRUCT
     lengths = np.linalg.norm(R, axis=0)
     present = np.flatnonzero(significant(lengths, ROUNDING_TOLERANCE))
     scaled = R[:, present] / lengths[present]
-    singular = np.linalg.svd(scaled, compute_uv=False)
+    # divide and conquer, NumPy's way, now and then does not converge where singular values are but rounding errors
+    _, singular, axes = singular_values(scaled) if scaled.size else (None, np.zeros(0), np.eye(len(present)))
     cut = tolerance * (singular[0] if singular.size else 1.0)
     rank = int(np.sum(significant(singular, tolerance)))
     chosen = _first_independent(scaled, rank, cut)
@@ -106,7 +107,7 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = STRUCT
         weights = np.linalg.lstsq(scaled[:, chosen], scaled[:, dependent], rcond=None)[0]
         weights[np.abs(weights) < max(tolerance, 1e-9)] = 0.0
         grouping[:, present[dependent]] = weights * lengths[present[dependent]] / lengths[basis][:, None]
-    alone = np.abs(_null_space(scaled, rank)).max(axis=1, initial=0.0) < NULL_SHARE
+    alone = np.abs(axes[rank:]).max(axis=0, initial=0.0) < NULL_SHARE
     category = np.full(len(names), NONE, dtype=object)
     category[present] = np.where(alone, FULL, COMBINATION)
     condition = float(singular[0] / singular[rank - 1]) if rank else float("inf")
@@ -133,13 +134,6 @@ def _first_independent(scaled: Array, rank: int, cut: float) -> list[int]:
         left = sorted(set(range(scaled.shape[1])) - set(chosen), key=lambda k: -distance[k])
         chosen = sorted(chosen + left[: rank - len(chosen)])
     return chosen
-
-
-def _null_space(scaled: Array, rank: int) -> Array:
-    if not scaled.size:
-        return np.zeros((scaled.shape[1], 0))
-    # divide and conquer, NumPy's way, now and then does not converge where singular values are but rounding errors
-    return np.asarray(singular_values(scaled)[2][rank:].T)
 
 
 def structural(model: Model, *, samples: int = 400, seed: int = 0,
