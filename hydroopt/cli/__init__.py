@@ -32,8 +32,20 @@ its help, whose last paragraph is an example."""
 COMMANDS = tuple(name for names in JOBS.values() for name in names)
 
 
+def off_unless_given(flag: Any) -> Any:
+    """The same option, off by default: to convert None to that, typer would import pydantic, which takes half of the
+    time of a help."""
+    if flag is not None and flag.default is None:
+        flag.default = False
+    return flag
+
+
 class Command(limits.Command):
     """A command that keeps other processes from writing into its folder until it ends."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """The option --help."""
+        return off_unless_given(super().get_help_option(ctx))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -114,11 +126,8 @@ class Group(TyperGroup):
     """Commands of one name in front."""
 
     def get_help_option(self, ctx: Any) -> Any:
-        """The option --help, off unless given: to convert None to that, typer would import pydantic."""
-        option = super().get_help_option(ctx)
-        if option is not None:
-            option.default = False
-        return option
+        """The option --help."""
+        return off_unless_given(super().get_help_option(ctx))
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands with all of their first sentence."""
@@ -131,6 +140,12 @@ class Commands(Group):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes | {"commands": {name: Deferred(name) for name in COMMANDS}})
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The arguments. Options for a shell's completion are among those without a default."""
+        for option in self.params:
+            off_unless_given(option)
+        return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands by job, each job with an example."""
