@@ -6,12 +6,9 @@ import signal
 import sys
 from types import FrameType
 
+from hydroopt.collector import RARE
+
 INTERRUPTED = b"hydroopt: interrupted; no result was written\n"
-COLLECTED = 50_000, 20, 20
-"""Thresholds of Python's garbage collector: at its own 700, 10 and 10 a command that makes many small objects, as the
-operations of a machine's equations are, spends a fifth of its time on searching them for cycles."""
-
-
 PLUGINS = "PYDANTIC_DISABLE_PLUGINS"
 """Environment variable without which pydantic reads the metadata of every installed package, in search of plug-ins
 that watch validation: 30 ms, for which a command has no use."""
@@ -19,7 +16,7 @@ that watch validation: 30 ms, for which a command has no use."""
 
 def main() -> None:
     """Run the command, with standard streams that can always be written, and Ctrl-C at any moment."""
-    gc.set_threshold(*COLLECTED)
+    gc.set_threshold(*RARE)
     os.environ.setdefault(PLUGINS, "1")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it lets Ctrl-C be ignored
         signal.signal(signal.SIGINT, _end)
