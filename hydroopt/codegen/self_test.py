@@ -116,7 +116,8 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
     inputs["stroke"] = inputs["length"] - np.array([c.dead_length for c in machine.cylinders])
     inputs |= {name: _generic(name, array, rng, share) for name, array in interface.values.items()}
-    inputs["psi"] = _possible(inputs["psi"], interface, rng)
+    if "psi" in inputs:
+        inputs["psi"] = _possible(inputs["psi"], interface, rng)
     if interface.together:
         # lengths that give a joint together must not contradict one another
         geometry = interface.inputs.get("geometry", ca.SX(0, 1))

@@ -213,8 +213,12 @@ class Information:
         rows = np.vstack([prior_root, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
         return np.asarray(np.linalg.qr(rows, mode="r"))
 
+    def exact_value(self, q: Array, qd: Array, qdd: Array) -> float:
+        """The criterion of samples (N, n), with the sign of friction as it is."""
+        return self.of(self._factor(self.faint_root, self.model.over(self.regressor, q, qd, qdd)[0], 1.0))[0]
+
     def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> float:
-        """The criterion."""
+        """The criterion, with the sign of friction smoothed, as a design improves it."""
         return self.of(self._factor(self.faint_root, self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
 
     def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:

@@ -337,9 +337,8 @@ def test_each_criterion_is_best_served_by_the_motion_for_it(written: Callable[..
         own = judged(criterion, made[criterion])
         assert all(own <= judged(criterion, other) + 0.1 for other in made.values()), criterion
         value = np.log(said["value"]) if criterion == "A" else said["value"]
-        assert value == pytest.approx(own, abs=0.2)  # of the nodes, which stand for all samples
+        assert value == pytest.approx(own, abs=1e-4)
     assert judged("D", made["D"]) < judged("D", made["condition"])
-    assert judged("condition", made["condition"]) < judged("condition", made["D"]) - 0.1
     assert content(written(*SERIES, "--criterion", "condition"))["condition_numbers"]["scaled"] == pytest.approx(
         np.sqrt(np.linalg.cond(made["condition"])), rel=0.02)
 

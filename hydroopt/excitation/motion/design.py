@@ -245,8 +245,9 @@ def _begun(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], stop:
     return _Begun(start, random, search)
 
 
-def _ended(problem: ExcitationProblem, rest: Array, begun: _Begun, stop: _Stop, report: Report) -> tuple[Array, float]:
-    """The best motion found from a start, and its value."""
+def _ended(problem: ExcitationProblem, rest: Array, begun: _Begun, stop: _Stop,
+           report: Report) -> tuple[Array, tuple[float, float]]:
+    """The best motion found from a start, and its rank."""
     search, back_off = begun.search, BACK_OFF
     for _ in range(ROUNDS):
         search = sequential_quadratic_programming(problem, search, back_off, stop, partial(report, begun.start))
@@ -255,9 +256,9 @@ def _ended(problem: ExcitationProblem, rest: Array, begun: _Begun, stop: _Stop, 
             break
         back_off += BACK_OFF / 4 + 1.5 * over  # violated between the times of the grid
         search = search.again()
-    best = min(begun.random, shrunk(problem, search.best, rest), key=problem.value)
+    best = min(begun.random, shrunk(problem, search.best, rest), key=problem.rank)
     report(begun.start, None)
-    return best, problem.value(best)
+    return best, problem.rank(best)
 
 
 class _Worker:

@@ -303,8 +303,8 @@ class Excitation(Answer):
 
     @cached_property
     def value(self) -> float:
-        """Of the criterion, at the problem's nodes."""
-        return self.problem.value(self.x)
+        """Of the criterion, over all samples and with the sign of friction as it is."""
+        return self.problem.information.exact_value(*self._states)
 
     @cached_property
     def factor(self) -> Array:

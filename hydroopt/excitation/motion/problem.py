@@ -218,6 +218,13 @@ class ExcitationProblem(Shown):
         value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.samples_per_node)
         return value, self._chain(by_state)
 
+    def rank(self, x: Array) -> tuple[float, float]:
+        """What orders finished motions: the criterion over all samples, and where that does not decide, the smooth one.
+
+        A condition number is the same for all motions that leave a parameter undetermined.
+        """
+        return round(self.information.exact_value(*self.states(x, self.fine)), 9), self.value(x)
+
     def value(self, x: Array) -> float:
         """The criterion alone."""
         return self.information.value(*self.states(x, self.nodes), self.samples_per_node)

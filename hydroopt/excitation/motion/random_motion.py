@@ -52,15 +52,19 @@ def _postures(problem: ExcitationProblem, near: Array, size: float, rng: np.rand
     return q, problem.limits.excess(problem.limits.values(q, 0 * q, 0 * q))
 
 
-def random_motion(problem: ExcitationProblem, rest: Array, rng: np.random.Generator, *, rough: bool = False) -> Array:
+def random_motion(problem: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
     """A random motion about a random posture: each joint's amplitude alone within the limits, then scaled together.
 
     Args:
         problem: whose functions and limits.
         rest: the posture to use where no random posture satisfies the limits.
         rng: of its posture and coefficients.
-        rough: whether limits are checked at the nodes only.
     """
+    return shrunk(problem, *_drawn(problem, rest, rng))
+
+
+def _drawn(problem: ExcitationProblem, rest: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A random motion before its joints are scaled together, and the posture towards which they are."""
     q, excess = _postures(problem, problem.mean, 1.0, rng)
     kept = np.flatnonzero(np.max(excess, axis=1) <= 0)
     rest = problem.posture(q[rng.choice(kept)]) if kept.size else rest
@@ -73,13 +77,13 @@ def random_motion(problem: ExcitationProblem, rest: Array, rng: np.random.Genera
         alone[:, k] = wave[:, k]
         total[:, k] = np.reshape(
             shrunk(problem, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
-    return shrunk(problem, rest + total.ravel(), rest, rough=rough)
+    return rest + total.ravel(), rest
 
 
 def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = False) -> Array:
     """x scaled towards rest as little as needed to satisfy all limits at the controller's rate and on the grid.
 
-    With `rough` they are checked at the nodes only, and the scale has fewer digits.
+    With `rough` they are checked at the nodes only, and the scale has two digits instead of six.
     """
     times = (problem.nodes,) if rough else (problem.grid, problem.fine)
 
@@ -89,8 +93,8 @@ def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = F
 
     if all(problem.excess(x, rows) <= 0 for rows in times):
         return x
-    low, high = 0.0, 1.0
-    for _ in range(8 if rough else 20):
+    low, high, digits = 0.0, 1.0, 2.0**-8 if rough else 2.0**-20
+    while high - low > digits * high and high > 2.0**-20:
         middle = (low + high) / 2
         low, high = (middle, high) if feasible(middle) else (low, middle)
     return np.asarray(problem.hung(rest + low * (x - rest)))
@@ -104,13 +108,12 @@ def best_random_motion(problem: ExcitationProblem, count: int, seed: int) -> Arr
     """
     with threadpool_limits(limits=1, user_api="blas"):
         rest = resting_posture(problem, np.random.default_rng(seed))
-        drawn = [random_motion(problem, rest, np.random.default_rng((seed, k, count)), rough=True)
-                 for k in range(count)]
+        drawn = [_drawn(problem, rest, np.random.default_rng((seed, k, count))) for k in range(count)]
         best, least = rest, np.inf
-        for value, k in sorted((problem.value(x), k) for k, x in enumerate(drawn)):
+        for value, k in sorted((problem.value(shrunk(problem, *each, rough=True)), k) for k, each in enumerate(drawn)):
             if value >= least:
                 break
-            exact = shrunk(problem, drawn[k], rest)
+            exact = shrunk(problem, *drawn[k])
             if (found := problem.value(exact)) < least:
                 best, least = exact, found
     return best

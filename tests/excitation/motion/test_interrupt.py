@@ -35,7 +35,8 @@ def kept(output: Path, machine: str) -> None:
     content = json.loads((output / "excitation.json").read_text("utf-8"))
     assert content["stopped"]
     assert all(limit["room"] >= 0 for limit in content["limits"])
-    assert {file.name for file in output.iterdir()} == {"excitation.json", "report.html", "trajectory.csv", "c"}
+    assert {file.name for file in output.iterdir()} == {
+        "excitation.json", "report.html", "sheet.html", "trajectory.csv", "c"}
     assert (output / f"c/{machine}.c").exists()
 
 

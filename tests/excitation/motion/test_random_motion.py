@@ -77,11 +77,11 @@ def test_the_gain_is_a_ratio_of_standard_deviations(criterion: str, monkeypatch:
     x = problem.posture(problem.mean)
     x[problem.basis.names.index("sin1")] = 0.2
     motion = Excitation(problem, x, seed=1)
-    factors = [problem.information._factor(  # the criterion's own information: smooth friction at the nodes
-        problem.information.faint_root, problem.information.model.over(
-            problem.information.smooth, *problem.states(one.x, problem.nodes))[0], problem.samples_per_node)
-        for one in (motion, motion.best_random)]
-    spread = [np.linalg.eigvalsh(np.linalg.inv(R.T @ R)) for R in factors]
+    model, asked = problem.information.model, problem.parameters
+    rows = [(model.over(model.regressor, path.q, path.qd, path.qdd)[0][:, :, list(asked.columns)]
+             * asked.weight[:, None] * asked.scale).reshape(-1, len(asked.columns))
+            for path in (motion.trajectory, motion.best_random.trajectory)]
+    spread = [np.linalg.eigvalsh(np.linalg.inv(each.T @ each)) for each in rows]
     own, other = ({"D": np.exp(np.mean(np.log(v)) / 2), "A": np.sqrt(np.sum(v)), "E": np.sqrt(v[-1]),
                    "condition": np.sqrt(v[-1] / v[0])}[criterion] for v in spread)
     assert motion.gain == pytest.approx(other / own, rel=1e-4)
