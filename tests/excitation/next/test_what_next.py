@@ -143,13 +143,19 @@ def test_the_command_writes_sheet_page_and_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("options", "sentence"), [
-    ({"targets": {"tip": -1.0}}, "cannot be reached"), ({"targets": {"tip": 0.01}}, "no uncertain number"),
+    ({"targets": {"tip": -1.0}}, "cannot be reached"),
     ({"targets": {"force": 0.01}, "without": ["rig"]}, "no measurement 'rig'"),
     ({"targets": {"force": 0.01}, "minutes": {"motion": -1.0}}, "not a duration"),
     ({"targets": {"lift.mc_x": 1.0}}, "is no mass"), ({"targets": {"force": 0.01}, "answers": ["nowhere"]}, "nowhere")])
 def test_what_cannot_be_planned_is_refused(options: dict, sentence: str) -> None:
     with pytest.raises(ProblemError, match=sentence):
         plan_next(ho.what_next_problem(LIFT, **options))
+
+
+def test_a_tip_whose_geometry_is_exact_is_refused() -> None:
+    exact = LIFT.model_copy(update={"notes": {}})
+    with pytest.raises(ProblemError, match="no uncertain number"):
+        plan_next(ho.what_next_problem(exact, targets={"tip": 0.01}))
 
 
 def reading(problem: ho.WhatNextProblem, name: str) -> Measurement:
