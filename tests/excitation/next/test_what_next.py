@@ -153,7 +153,7 @@ def test_what_cannot_be_planned_is_refused(options: dict, sentence: str) -> None
 
 
 def test_a_tip_whose_geometry_is_exact_is_refused() -> None:
-    exact = LIFT.model_copy(update={"notes": {}})
+    exact = ho.load_machine(LIFT).model_copy(update={"notes": {}})
     with pytest.raises(ProblemError, match="no uncertain number"):
         plan_next(ho.what_next_problem(exact, targets={"tip": 0.01}))
 
