@@ -15,6 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+HIGHEST = "-O3"
+"""Level of optimisation of code that is evaluated millions of times, samples side by side."""
+
 
 def flags(system: str, processor: str) -> tuple[str, ...]:
     """Options for the processor at hand, as ``platform.system()`` and ``platform.machine()`` name it.
@@ -27,7 +30,7 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
     """
     own = "-mcpu=native" if (system, processor) == ("Darwin", "arm64") else "-march=native"
     place = () if system == "Windows" else ("-fPIC",)  # all code there can be moved, and clang refuses the option
-    return ("-O3", own, "-fno-math-errno", *place, "-shared", "-w")
+    return (HIGHEST, own, "-fno-math-errno", *place, "-shared", "-w")
 
 
 FLAGS = flags(platform.system(), platform.machine())
@@ -61,8 +64,9 @@ class Compiler:
         vectors = all(name in self.macros for name in (b"__GLIBC__", b"__x86_64__")) and b"__clang__" not in self.macros
         return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
 
-    def compile(self, source: str, folder: Path) -> Path:
-        """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files.
+    def compile(self, source: str, folder: Path, level: str = HIGHEST) -> Path:
+        """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files; long sources
+        are optimised less than the `level` asks for.
 
         The compiler works there, since linkers look for some libraries in their working directory.
 
@@ -71,8 +75,9 @@ class Compiler:
             subprocess.SubprocessError: it fails or exceeds its time limit.
         """
         built = folder / "kernel.so"
-        quick = ("-O0",) if len(source) > LONGEST else ("-O1",) if len(source) > LONG else ()  # the last level counts
-        command = (*self.command, *FLAGS, *quick, "-x", "c", "-", "-o", str(built), *self.libraries)
+        at = "-O0" if len(source) > LONGEST else "-O1" if len(source) > LONG else level
+        # the last level counts
+        command = (*self.command, *FLAGS, at, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:
             _run(command, source.encode(), COMPILING, folder)
         except subprocess.TimeoutExpired:

@@ -23,7 +23,7 @@ import numpy as np
 from hydroopt import cache
 from hydroopt.kernels import c_writer
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import FLAGS, LONG, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import FLAGS, HIGHEST, LONG, Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.spatial.inertia import Array
 
@@ -202,7 +202,7 @@ def kernel(function: ca.Function) -> Kernel | None:
 
 
 def library(function: ca.Function, by: Compiler, write: Callable[[Program], str], own: Sequence[str],
-            options: str = "") -> ctypes.CDLL:
+            options: str = "", level: str = HIGHEST) -> ctypes.CDLL:
     """The shared library from the cache, or compiled now and kept there, or compiled for this process alone.
 
     Args:
@@ -211,6 +211,7 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
         write: writes the C; what it depends on are the program of `function`, `options` and the files `own`.
         own: names of files in this folder.
         options: of `write`.
+        level: at which the compiler optimises.
 
     Raises:
         OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
@@ -218,16 +219,17 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
     """
     here = Path(__file__).parent
     read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", *own)]
-    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)))
+    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)), level)
 
 
-def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> ctypes.CDLL:
+def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], level: str = HIGHEST) -> ctypes.CDLL:
     """The shared library of some C, kept in the cache under the hash of all that it depends on.
 
     Args:
         content: what the C depends on.
         by: the compiler.
         write: writes the C.
+        level: at which the compiler optimises.
 
     Raises:
         OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
@@ -235,11 +237,11 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> c
     """
     key = hashlib.sha256()
     how = Path(__file__).with_name("compiler.py").read_bytes()
-    for part in (*content, how, " ".join((*by.command, *FLAGS)).encode(), by.macros):
+    for part in (*content, how, " ".join((*by.command, *FLAGS, level)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
 
     def compiled(place: Path) -> Path:
-        return by.compile(write(), place)
+        return by.compile(write(), place, level)
 
     try:
         return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
