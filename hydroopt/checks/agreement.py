@@ -55,7 +55,8 @@ class Agreement:
         lengths: mean squares of lengths' differences from the geometry, in units of `GAP`, weighted and bounded.
         ranges: share of samples beyond joint limits or too fast, weighted.
         rate: logarithm of the ratio of the sampling rate to the stated one, weighted.
-        missed: RMS of each actuator's nominal error as a part of its RMS force, by actuator.
+        missed: RMS of each actuator's nominal error as a part of its RMS force, by actuator. At a passive joint nothing
+            is read, and errors of angles are as large as what is left: it takes no part in forces.
         gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
@@ -207,14 +208,15 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
 
     `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
     """
-    force, nominal = both
+    read = [k for k, balance in enumerate(model.machine.balances) if balance.actuators]
+    K, steady, (force, nominal) = K[:, read], steady[:, read], both[:, :, read]
     parameters, p = model.parameters, len(model.parameters)
     known = np.diag(parameters.information) > 0
     information = parameters.information + np.diag(np.where(known, 0.0, 1 / (3 * parameters.scale) ** 2))
     covariance = np.linalg.inv(information)
     size = np.sqrt(np.mean(nominal**2, axis=0))
     spread = np.sqrt(np.mean(np.sum((K @ np.linalg.cholesky(covariance)) ** 2, axis=2), axis=0))
-    stated = np.nan_to_num(force_noise(model, log), nan=0.0) * averaged
+    stated = np.nan_to_num(force_noise(model, log)[read], nan=0.0) * averaged
     rms = np.sqrt(np.mean(force**2, axis=0))
     expected = np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))
     sigma = np.hypot(stated, MODEL_ERROR * np.minimum(expected, LARGEST * rms))  # else what is far too large fits
@@ -232,7 +234,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
-    names = (balance.name for balance in model.machine.balances)
+    names = (model.machine.balances[k].name for k in read)
     return squares, priors, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
 
 

@@ -89,8 +89,17 @@ def misread_error(model: Model, log: AnyLog) -> LogError | None:
         return None
     if not misread:
         return None
-    return LogError(f"the machine file agrees with {misread[0].evidence['reading']}, not with the log as it is read",
-                    where=log.path or log.name, remedy=misread[0].remedy.rstrip("."))
+    return LogError(contradiction(misread[0]), where=log.path or log.name, remedy=remedy_of(misread[0]))
+
+
+def contradiction(misread: Diagnostic) -> str:
+    """A log's likeliest mistake as what an error says."""
+    return f"the machine file agrees with {misread.evidence['reading']}, not with the log as it is read"
+
+
+def remedy_of(misread: Diagnostic) -> str:
+    """Its remedy as the end of an error's sentence."""
+    return misread.remedy[0].lower() + misread.remedy[1:].rstrip(".")
 
 
 def _sample(model: Model, log: AnyLog) -> Log:

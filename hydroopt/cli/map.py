@@ -77,6 +77,7 @@ def _next(found: MapProposal, log: Path, machine: str, to: Path | None) -> None:
     if to is None:
         echo(f"Next: {again}")
     elif open_ones:
-        echo(f"Next: in {path}, {' and '.join(open_ones)}. Then {command}")
+        todo = " and ".join(filter(None, (", ".join(open_ones[:-1]), open_ones[-1])))
+        echo(f"Next: in {path}, {todo}. Then {command}")
     else:
         echo(f"Next: {command}")

@@ -77,6 +77,7 @@ def simulate(
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
+    from hydroopt.results.diagnostic import listed
     from hydroopt.simulation import drive_valves
     from hydroopt.simulation import simulate as simulation
     from hydroopt.simulation.reference_motion import reference_motion
@@ -139,6 +140,9 @@ def simulate(
             indent=1)})
     if not quiet:
         echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+        exact = [channel for channel in log.channels if described.sensor(channel) is None]
+        if noise and exact:
+            echo(f"Without errors, since the machine file states no accuracy in [[sensors]]: {listed(exact, 8)}")
         if smaller:
             echo(smaller)
 

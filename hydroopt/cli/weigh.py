@@ -140,6 +140,7 @@ def _place(model: Model, link: str, text: str | None) -> tuple[float, float, flo
         ProblemError: the text is not three finite numbers, or there is no such link.
     """
     from hydroopt.errors import ProblemError
+    from hydroopt.units import to_si
 
     if text is None:
         known = [each.name for each in model.machine.links]
@@ -147,12 +148,18 @@ def _place(model: Model, link: str, text: str | None) -> tuple[float, float, flo
             raise ProblemError(f"there is no link '{link}'", where="--link", remedy=f"use one of {', '.join(known)}")
         return (model.machine.link(link).joint.a, 0.0, 0.0)
     try:
-        x, y, z = (float(part) for part in text.split(","))
+        x, y, z = (float(part) if _bare(part) else to_si(part, "m", where="--centre") for part in text.split(","))
         if all(math.isfinite(each) for each in (x, y, z)):
             return (x, y, z)
     except ValueError:
         pass
-    raise ProblemError(f"'{text}' is no place", where="--centre", remedy="give three numbers in m, e.g. '1.8, 0, 0'")
+    raise ProblemError(f"'{text}' is no place", where="--centre",
+                       remedy="give three lengths, e.g. '1.8 m, 0 m, 0 m'; without a unit they are in m")
+
+
+def _bare(part: str) -> bool:
+    """Whether a number has no unit."""
+    return not any(letter.isalpha() for letter in part.replace("e", "").replace("E", ""))
 
 
 def _known(text: str) -> tuple[str, Path]:

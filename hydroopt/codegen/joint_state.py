@@ -61,7 +61,7 @@ def joint_state(api: Symbols) -> Routine:
         guards += [Guard(length[k], ">", COINCIDENT, "OPEN_TRIANGLE") for k in read]
         guards += [Guard(each, "<", SETTLED, "OPEN_TRIANGLE", absolute=True) for each in ca.vertsplit(step)]
         guards += [Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT") for bar in _bars(arms[:, own])]
-        q[own], qd[own] = at, back(arms[:, own], speed[read] - arms[:, list(group.given)] @ qd[list(group.given)])
+        q[own], qd[own] = at, back(arms[:, own], speed[read] - arms[:, list(group.given)] @ qd[list(group.given), 0])
         covered += [machine.joints[k] for k in own]
     takes = api.struct("lengths", "Readings of the cylinders' length transducers.",
                        Field("length", ("cylinder",), "m", "distance between the pins"),

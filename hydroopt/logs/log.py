@@ -260,12 +260,26 @@ def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[L
     ignored: tuple[str, ...] = ()
     if layout is None:
         layout, ignored = map_of_header(list(header), where)
+        refuse_idle(layout, where, mapped=False)
+    refuse_idle(layout, where, mapped=True)
     if "t" not in layout.columns:
         raise LogError("channel 't' is missing", where=where, remedy="map the column of the time")
-    if not layout.columns.keys() - {"t"}:
-        raise LogError("there is a time but no channel", where=where,
-                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
     return layout, ignored
+
+
+def refuse_idle(layout: LogMap, where: str, *, mapped: bool) -> None:
+    """Refuse a log none of whose columns is a channel, by its header or by a map that was stated.
+
+    Raises:
+        LogError: there is none.
+    """
+    if layout.columns.keys() - {"t"}:
+        return
+    if mapped:
+        raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
+                       "which unit, and remove the # before it")
+    raise LogError("no column is named as a channel", where=where, remedy="name columns like 'boom.q [deg]' or "
+                   "'boom_cylinder.p_head [bar]', or state a map: 'hydroopt map' proposes one")
 
 
 def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) -> tuple[Finding, ...]:

@@ -10,6 +10,7 @@ from hydroopt.logs.clock import Clock
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import ClockMap, ColumnMap, LogMap
 from hydroopt.logs.formats.log_file import LogFile
+from hydroopt.logs.log import refuse_idle
 from hydroopt.logs.table import RawKey
 
 
@@ -63,7 +64,7 @@ def parts_without_map(sheets: Sequence[Sheet], where: str) -> list[Part]:
         if len(sheets) > 1 and not any("." in parts_of(name)[0] and parts_of(name)[1] for name in header):
             continue
         layout, ignored = map_of_header(list(header), sheet.where, timed=sheet.content.own_stamps)
-        _refuse_idle(layout, sheet.where)
+        refuse_idle(layout, sheet.where, mapped=False)
         parts.append(Part(sheet.name, sheet.where, sheet.content, layout, ignored))
     if not parts:
         shown = ", ".join(f"'{name}'" for sheet in sheets for name in sheet.content.header[:4])
@@ -78,7 +79,7 @@ def parts_of_map(layout: LogMap, sheets: Sequence[Sheet], where: str) -> list[Pa
     Raises:
         LogError: a column stands in no sheet or in several, or there is no time.
     """
-    _refuse_idle(layout, where)
+    refuse_idle(layout, where, mapped=True)
     found: dict[tuple[int, str], dict[str, ColumnMap]] = {}
     constants: dict[str, ColumnMap] = {}
     for channel, column in layout.columns.items():
@@ -106,12 +107,6 @@ def parts_of_map(layout: LogMap, sheets: Sequence[Sheet], where: str) -> list[Pa
         raise LogError(f"there is no group '{min(unknown)}' (present: {', '.join(repr(part.name) for part in parts)})",
                        where=where, remedy="correct the name in [clocks]")
     return parts
-
-
-def _refuse_idle(layout: LogMap, where: str) -> None:
-    if not layout.columns.keys() - {"t"}:
-        raise LogError("there is a time but no channel", where=where,
-                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
 
 
 def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[Sheet], where: str) -> int:

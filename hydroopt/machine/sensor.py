@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import Field, ValidationInfo, model_validator
@@ -55,10 +56,15 @@ class Sensor(Noun):
     def _reading(value: Any, channels: Any, info: ValidationInfo, key: str) -> Any:
         names = [str(channel) for channel in channels]
         kinds = {CHANNEL_UNITS.get(name.rpartition(".")[2], ()) for name in names}
-        if len(kinds) > 1 or () in kinds:
-            raise ImpossibleError(
-                f"the channels {', '.join(names)} are not of one known kind", "name channels that end alike, in one of "
-                + ", ".join(f".{suffix}" for suffix in CHANNEL_UNITS), "channels")
+        if unknown := [name for name in names if name.rpartition(".")[2] not in CHANNEL_UNITS]:
+            part, _, quantity = unknown[0].rpartition(".")
+            close = get_close_matches(quantity, CHANNEL_UNITS, 1)
+            raise ImpossibleError(f"'{unknown[0]}' is the name of no channel", f"did you mean '{part}.{close[0]}'"
+                                  if close else "write a part and a quantity, as 'boom.q' or 'boom_cylinder.p_head'",
+                                  "channels")
+        if len(kinds) > 1:
+            raise ImpossibleError(f"the channels {', '.join(names)} have no unit in common",
+                                  "state angles, lengths and pressures in a [[sensors]] entry each", "channels")
         problem: ImpossibleError | None = None
         for si in kinds.pop():
             try:

@@ -87,14 +87,14 @@ class Plant(Shown):
         if not machine.powered:
             raise ProblemError("no joint moves", where=machine.name, remedy="hydraulics need cylinders or hydraulic "
                                "motors on all joints")
+        lacking = [f"'{each.name}'" for each in machine.powered if not isinstance(each, Drive) and each.circuit is None]
         for actuator in machine.powered:
             if isinstance(actuator, Drive):
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,
                                    remedy="hydraulics need cylinders or hydraulic motors on all joints")
             if actuator.circuit is None:
-                raise ProblemError(f"no circuit is stated for '{actuator.name}'", where=machine.name,
-                                   remedy=f"state 'circuit' with a valve and hoses in the machine file for "
-                                          f"'{actuator.name}'")
+                raise ProblemError(f"no circuit is stated for {', '.join(lacking)}", where=machine.name, remedy=(
+                    "state 'circuit' with a valve and hoses for each of them in the machine file, and 'oil'"))
             assert machine.oil is not None
             self.actuators.append(ActuatorHydraulics(actuator, actuator.circuit, machine.oil))
 

@@ -114,7 +114,8 @@ class Plots:
         from hydroopt.plots.loops import loops  # noqa: PLC0415
 
         if not isinstance(self._shown, Comparison):
-            raise self._refusal("loops")
+            raise self._refusal("loops", "draw those of hydroopt.control.comparison.compare, or see the page of "
+                                         "'hydroopt control'")
         return _notebook(loops(self._shown), "loops")
 
     def _estimate(self, what: str) -> Estimate:
@@ -124,9 +125,11 @@ class Plots:
             raise self._refusal(what)
         return self._shown
 
-    def _refusal(self, what: str) -> ProblemError:
-        return ProblemError(f"a {type(self._shown).__name__} has no {what} to draw", where=f"plot.{what}",
-                            remedy="draw what hydroopt.solve returned, or see the page of hydroopt.view")
+    def _refusal(self, what: str,
+                 remedy: str = "draw what hydroopt.solve returned, or see the page of hydroopt.view") -> ProblemError:
+        name = type(self._shown).__name__
+        article = "an" if name[0] in "AEIOU" else "a"
+        return ProblemError(f"{article} {name} has no {what} to draw", where=f"plot.{what}", remedy=remedy)
 
 
 def _notebook(figure: Figure, name: str) -> Figure:

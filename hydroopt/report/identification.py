@@ -131,7 +131,7 @@ def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, bool, 
     for one in misfit.found if misfit else ():
         size, low, high = (plain(x * one.fault.factor, 3) for x in (one.size, *one.ci95))
         rows.append((one.fault.words, size, low, high, one.fault.unit, one.repeats,
-                     "; ".join(other.words for other in one.tied)))
+                     "; ".join(other.fault.said(other.size)[0] for other in one.tied)))
     return rows
 
 

@@ -69,7 +69,7 @@ SESSION_WORDS: dict[Kind, Words] = {
     Kind.LOAD_WEIGHED: Words("{subject} weighs {mass} kg (95 %), carried from {begin:.1f} to {end:.1f} s."),
     Kind.LOAD_NOT_WEIGHABLE: Words(
         "{subject}, carried from {begin:.1f} to {end:.1f} s, cannot be weighed: {why}.",
-        "Move boom and stick for some seconds with it."),
+        "Move several joints for some seconds with it."),
     Kind.NO_LOAD_FOUND: Words(
         "No load was found from {begin:.1f} to {end:.1f} s: nothing differs from the tare.",
         "The log must begin with the empty machine, and go on with a load."),

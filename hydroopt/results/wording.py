@@ -109,6 +109,7 @@ class Kind(StrEnum):
     INCONSISTENT_BODIES = "bodies not physically consistent"
     NO_CALIBRATED_MACHINE = "no calibrated machine"
     RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
+    NO_SENSOR_ERRORS = "no sensor errors in the log"
     MISFIT_CAUSE = "likeliest cause of the misfit"
     LATE_POSITIONS = "friction turns before the velocity"
     LACK_OF_FIT = "lack of fit"
@@ -305,7 +306,8 @@ WORDS: dict[Kind, Words] = {
         "force.",
         "State the accuracy in [[sensors]]."),
     Kind.NO_ANGLE_ACCURACY: Words(
-        "The machine file states no accuracy for the angle of {subject}; it counts as exact, so that σ will be larger.",
+        "The machine file states no accuracy for the angle of {subject}; it counts as exact here: the true σ will be "
+        "larger than stated.",
         "State the accuracy in [[sensors]]."),
     Kind.SMOOTHING_BIAS: Words(
         "Smoothing noisy angles will bias {biased} of {of} base parameters by more than their σ.",
@@ -367,9 +369,13 @@ WORDS: dict[Kind, Words] = {
     Kind.RESIDUALS_ABOVE_NOISE: Words(
         "The residuals of {subject} are {ratio:.1f} times its sensors' noise of {noise:.3g} {unit}.",
         "Angles are noisy, or the model lacks an effect: see the figure of the residuals."),
+    Kind.NO_SENSOR_ERRORS: Words(
+        "The model explains the forces of {subject} to {part:.1g} of their size. No sensor reads so well: the log was "
+        "simulated without errors of sensors, and all intervals are those of such a log.",
+        "State the accuracy of the sensors in [[sensors]] of the machine file, and simulate again."),
     Kind.MISFIT_CAUSE: Words(
-        "The likeliest cause of the misfit: {cause}, by {size:.3g} ± {std:.2g} {unit}{others}. Both halves of the data "
-        "show it alike, and it leaves no misfit.",
+        "The likeliest cause of the misfit: {cause}, by {amount:.3g} ± {std:.2g} {unit}{others}. Both halves of the "
+        "data show it alike, and it leaves no misfit.",
         "{remedy}"),
     Kind.LATE_POSITIONS: Words(
         "The positions of {joint} are read {late:.0f} ± {std:.0f} ms late: so much earlier than its velocity the dry "
@@ -393,7 +399,7 @@ WORDS: dict[Kind, Words] = {
         "Look for pulsation of the pump or a vibration of the machine."),
     Kind.DETECTABLE_FAULTS: Words(
         "Faults of these sizes would have shown with a probability of 95 %: {sizes}."),
-    Kind.FREED_FAULT: Words("Freed: {cause}, by {size:.3g} ± {std:.2g} {unit}."),
+    Kind.FREED_FAULT: Words("Freed: {cause}, by {amount:.3g} ± {std:.2g} {unit}."),
     Kind.SPLIT_HALF: Words(
         "Friction and offsets in the two halves of {subject} differ by {phi:.1f} times what noise explains "
         "({probability}); a repeat may differ by as much, which the intervals do not include.",

@@ -245,7 +245,7 @@ class Weighing(Answer):
             return () if self.scale.known_loads else (known,)
         if any(NORMAL * self.scale.gain * abs(each.mass) > self.needed for each in self.loads):
             return (known,)
-        return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "
+        return (NextStep(Action.DRIVE, "Move several joints for some seconds with each load, or state its centre of "
                                        "mass more closely."),)
 
     @cached_property

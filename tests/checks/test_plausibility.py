@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydroopt.checks.agreement import agreement
 from hydroopt.checks.alternatives import alternatives
 from hydroopt.checks.plausibility import examine
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
-from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
@@ -147,3 +148,60 @@ def test_parts_of_a_real_run_are_not_accused() -> None:
         edges = np.linspace(0, run.size, parts + 1).astype(int)
         for first, last in pairwise(edges.tolist()):
             assert not of_kind(examine(model, run.slice(first, last)), Kind.LOG_MISREAD), (parts, first)
+
+
+PENDULUM = """
+name = "pendulum"
+orientation = ["90 deg", "0 deg", "0 deg"]
+[[sensors]]
+channels = ["boom.q", "hook.q"]
+accuracy = "0.1 deg"
+[[sensors]]
+channels = ["lift.p_head", "lift.p_rod"]
+accuracy = "0.5 bar"
+[[links]]
+name = "boom"
+joint = { type = "revolute", a = "3 m", lower = "0 deg", upper = "60 deg" }
+[links.body]
+m = { value = "200 kg", sigma = "10 %" }
+com = { value = ["1.4 m", "0 m", "0 m"], sigma = "0.1 m" }
+inertia_com = { value = ["2 kg*m^2", "0 kg*m^2", "0 kg*m^2", "150 kg*m^2", "0 kg*m^2", "150 kg*m^2"], sigma = "50 %" }
+[[links]]
+name = "hook"
+[links.joint]
+type = "revolute"
+passive = true
+a = "0.6 m"
+lower = "-190 deg"
+upper = "10 deg"
+friction = { viscous = "300 N*m*s/rad" }
+[links.body]
+m = { value = "150 kg", sigma = "10 %" }
+com = { value = ["0.5 m", "0 m", "0 m"], sigma = "0.1 m" }
+inertia_com = { value = ["9 kg*m^2", "0 kg*m^2", "0 kg*m^2", "9 kg*m^2", "0 kg*m^2", "9 kg*m^2"], sigma = "50 %" }
+[[cylinders]]
+name = "lift"
+bore = "100 mm"
+rod_diameter = "56 mm"
+dead_length = "0.8 m"
+stroke = "0.6 m"
+barrel = { link = "base", pin = ["0.26 m", "-1.04 m", "0 m"] }
+rod = { link = "boom", pin = ["0.3 m", "-0.1 m", "0 m"] }
+"""
+
+
+def test_passive_joints_hide_no_mistake() -> None:
+    """Nothing is read at a hinge that swings: what is left there is no contradiction, and refutes no other reading."""
+    model = Model(read_machine(PENDULUM))
+    log = simulate(model, random_trajectory(model, duration=20.0, rate=25.0, seed=1), random_truth(model, 2), seed=3)
+    judged = agreement(model, log)
+    assert judged is not None
+    assert judged.missed.keys() == {"lift"}
+    assert judged.worst < 1
+    assert not examine(model, log)
+    for mistake in (scaled(lambda name: name.endswith(".q"), 180 / np.pi), exchanged("lift.p_head", "lift.p_rod"),
+                    scaled(lambda name: ".p_" in name, 1e-5)):
+        wrong = without_lengths(replace(log, channels=dict(mistake(log.channels))))
+        (found,) = of_kind(examine(model, wrong), Kind.LOG_MISREAD)
+        changed = {name for name, x in wrong.channels.items() if not np.array_equal(x, log.channels[name])}
+        assert set(found.subject) == changed

@@ -13,7 +13,7 @@ import hydroopt
 from fixtures.tiers import tiered
 from hydroopt.cli import app
 from hydroopt.cli.machine_facts import machine_facts
-from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.machine_file import dump_machine, load_machine
 from hydroopt.model.model import Model
 from hydroopt.results.wording import Kind
 
@@ -114,6 +114,13 @@ def test_simulate_samples_at_the_stated_rate(tmp_path: Path) -> None:
     run("simulate", "patu655_lift", "-o", str(tmp_path / "asked"), "--duration", "5", "--rate", "20", "--quiet")
     logs = [hydroopt.read_log(tmp_path / name / "log.csv") for name in ("stated", "asked")]
     assert [log.t.size for log in logs] == [500, 100]
+
+
+def test_simulate_says_which_readings_have_no_errors(tmp_path: Path) -> None:
+    (tmp_path / "bare.toml").write_text(dump_machine(load_machine("patu655_lift").model_copy(update={"sensors": ()})))
+    said = {name: run("simulate", name, "-o", str(tmp_path / "out"), "--duration", "5", *more)
+            for name, more in ((str(tmp_path / "bare.toml"), ()), ("patu655_lift", ("--no-noise",)))}
+    assert ["no accuracy in [[sensors]]: lift.q" in text for text in said.values()] == [True, False]
 
 
 def test_show_takes_the_ranges_of_all_joints_that_a_cylinder_crosses() -> None:

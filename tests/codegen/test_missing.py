@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fixtures.closures import UPRIGHT, jack, link, made
 from fixtures.tools import must
 from hydroopt import load_machine
 from hydroopt.cli import app
@@ -27,6 +28,19 @@ def test_a_routine_without_states_for_the_self_test_is_named(others: tuple[str, 
     assert f"- Not tested: {said}." in (tmp_path / "README.md").read_text()
     assert "self-test passed" in must(["make", "check"], tmp_path)
     assert ("patu655_inverse_dynamics(" in (tmp_path / "patu655_selftest.c").read_text()) == bool(others)
+
+
+def test_one_joint_that_a_cylinder_moves_with_what_follows_it_has_its_state_by_the_length(tmp_path: Path) -> None:
+    """As the ram between both arms of a scissor lift: no other joint is given."""
+    machine = made("folding", [link("boom", a=2.0, lower=0.3, upper=1.0), link("jib", "boom", a=1.5)],
+                   orientation=UPRIGHT,
+                   couplings=[{"name": "gears", "joint": "jib", "ratios": {"boom": -2.0}, "offset": -0.3}],
+                   cylinders=[jack("ram", ("base", (0.4, -0.9, 0.0)), ("jib", (0.3, -0.2, 0.0)))])
+    (tmp_path / "folding.toml").write_text(dump_machine(machine))
+    done = CliRunner().invoke(app, ["codegen", str(tmp_path / "folding.toml"), "-o", str(tmp_path / "c"), "--functions",
+                                    "joint_state", "--quiet"])
+    assert done.exit_code == 0, done.output
+    assert "self-test passed" in must(["make", "check"], tmp_path / "c")
 
 
 @pytest.mark.slow

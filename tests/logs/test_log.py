@@ -292,6 +292,12 @@ def test_bad_maps_are_refused(tmp_path, case):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("columns", [{}, {"t": {"column": "t", "unit": "s"}}])
+def test_a_map_without_channels_is_named_as_such(csv, columns):
+    with pytest.raises(LogError, match=r"its map names no channel; write in it which column is which channel"):
+        read_log(csv(text()), mapping=LogMap.model_validate({"columns": columns}))
+
+
 def test_a_mapped_column_that_is_missing_names_those_present(csv):
     layout = LogMap.model_validate({"columns": {
         "t": {"column": "time", "unit": "s"}, "boom.q": {"column": "boom.q [deg]", "unit": "deg"}}})

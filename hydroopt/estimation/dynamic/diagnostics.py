@@ -37,6 +37,8 @@ NOT_EXACT = 0.01
 CONFLICT = 1e-3
 """p-value of agreement of data and priors below which the answer is suspect."""
 
+EXACT = 1e-4
+"""RMS residual as a part of the RMS force that no sensor reaches: pressures are read to about 1e-3."""
 _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity",
             ParameterKind.MOMENT_OF_INERTIA: "inertia", ParameterKind.STRIBECK_SPEED: "Stribeck friction"}
 """What parameters of a kind cause, where that is not the name of the kind."""
@@ -153,8 +155,11 @@ def _findings(found: Identification) -> Iterator[Diagnostic]:
 
 
 def _residuals(found: Identification) -> Iterator[Diagnostic]:
-    """Residuals beyond the sensors' noise."""
+    """Residuals beyond the sensors' noise, or below that of any sensor."""
     model = found.problem.model
+    exact = {name: fit.relative for name, fit in found.fit["train"].items() if name != "all" and fit.relative < EXACT}
+    if exact:
+        yield Diagnostic(Kind.NO_SENSOR_ERRORS, tuple(exact), {"part": max(exact.values())})
     stated = force_noise(model, found.problem.experiments[0].log)
     for k, balance in enumerate(model.machine.balances):
         if np.isfinite(stated[k]) and found.sigma[k] > ABOVE_NOISE * stated[k]:

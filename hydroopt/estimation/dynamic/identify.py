@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import IdentifiabilityError, LogError, ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.misfit.freed import Freed, free
@@ -83,7 +83,7 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
         try:
             solve = _solve_with_faults if problem.freed else _solve
             return solve(problem, method, tolerance, ridge, intervals, seed)
-        except SolverError as error:
+        except (IdentifiabilityError, LogError, SolverError) as error:
             raise explained(error, contradictions(problem.model, problem.experiments)) from None
 
 

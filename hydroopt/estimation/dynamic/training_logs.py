@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from hydroopt.checks.plausibility import examine, misread_error
+from hydroopt.checks.plausibility import contradiction, examine, misread_error, remedy_of
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, refuse_nothing_to_determine
@@ -59,11 +59,11 @@ def losses(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnost
     return (*forces_not_measured(model, experiments), *samples)
 
 
-def explained(error: SolverError, of_logs: Sequence[Diagnostic]) -> SolverError:
-    """The error with the mistake in a log that explains it, if there is one."""
+def explained(error: HydrooptError, of_logs: Sequence[Diagnostic]) -> HydrooptError:
+    """The mistake in a log that explains an error, if there is one, or else the error."""
     misread = of_kind(of_logs, Kind.LOG_MISREAD)
-    return SolverError(f"{error.what}. {misread[0].text.rstrip('.')}", where=error.where,
-                       remedy=misread[0].remedy.rstrip(".")) if misread else error
+    return SolverError(contradiction(misread[0]), where=str(misread[0].evidence["log"]),
+                       remedy=remedy_of(misread[0])) if misread else error
 
 
 def refuse_added(what: str, experiments: Sequence[AnyExperiment]) -> None:

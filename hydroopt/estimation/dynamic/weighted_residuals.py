@@ -8,7 +8,7 @@ from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
-from hydroopt.errors import IdentifiabilityError
+from hydroopt.errors import IdentifiabilityError, LogError
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
@@ -31,6 +31,7 @@ from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
 
 Loss = Literal["squares", "huber", "student_t"]
@@ -204,6 +205,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
             only where no sample in motion does.
 
     Raises:
+        LogError: the machine cannot take some of the postures.
         IdentifiabilityError: no joint moves, and there is a single posture.
         SolverError: a fitted motion does not converge.
     """
@@ -212,6 +214,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     point = problem.parameters.nominal if point is None else point
     folded = [data.bands(point) for data in experiments]
     data = compressed(folded)
+    _refuse_impossible_postures(problem, data)
     holds = folded[0].holds.copy()
     for more in folded[1:]:
         holds.add(more.holds)
@@ -309,6 +312,23 @@ def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
 
 def _covariance(correlation: Array, sigma: Array) -> Array:
     return correlation * np.outer(sigma, sigma)
+
+
+def _refuse_impossible_postures(problem: ResidualProblem, data: CompressedRegressor) -> None:
+    """Refuse logs with samples for which the model has no number, with the joints that may be read wrongly.
+
+    Raises:
+        LogError: there are such samples.
+    """
+    if np.all(np.isfinite(data.triangles)):
+        return
+    machine = problem.model.machine
+    joints = list(dict.fromkeys(joint for name, follows in machine.followed.items() if name not in machine.joints
+                                for joint in follows)) or machine.joints
+    raise LogError(f"there are postures that {machine.name} cannot take: a linkage does not close, or a cylinder has "
+                   "no lever arm", where=", ".join(e.log.path or e.log.name for e in problem.experiments),
+                   remedy=f"correct unit, sign or zero of {listed([f'{joint}.q' for joint in joints], 3)}, or lengths "
+                          "in the machine file")
 
 
 def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: float) -> Array:

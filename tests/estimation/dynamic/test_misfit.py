@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance
 from hydroopt.estimation.dynamic.misfit.freed import UNCERTAIN, WIDE, chosen_faults
 from hydroopt.estimation.dynamic.misfit.listed_faults import listed
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.dynamic.misfit.spectrum import faster
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.log import Log
@@ -140,6 +142,8 @@ def test_a_delay_is_named_with_its_size_and_can_be_freed(crane: Model, sound: Lo
     first = estimate.diagnostics[0]
     assert first.kind is Kind.MISFIT_CAUSE
     assert "delay forces" in {first.evidence["fault"], *first.evidence["tied"]}
+    assert first.evidence["amount"] == abs(first.evidence["size"])
+    assert ("early" in first.evidence["cause"]) == (first.evidence["size"] < 0)
     freed = identify(problem.free("delay"), intervals=False)
     (said,) = [each for each in freed.findings if each.kind is Kind.FREED_FAULT]
     assert abs(said.evidence["size"] - 100.0) < 5 * said.evidence["std"] + 3.0
@@ -202,6 +206,34 @@ def test_the_machine_file_states_sizes_of_faults(crane: Model, sound: Log) -> No
     assert scale["tilt base about x"] == UNCERTAIN["tilt"]
     with pytest.raises(ProblemError, match="no fault that can be freed"):
         chosen_faults(view, ["bodies"])
+
+
+def test_a_negative_fault_is_said_in_the_opposite_direction(crane: Model, sound: Log) -> None:
+    """And the sizes of all that have an opposite are positive then."""
+    view = View.of(identification_problem(crane, [sound]).experiments[0], crane.parameters.nominal)
+    said = {fault.words: fault.said(-0.5) for fault in listed(view)}
+    assert said["all force readings are late against the angles"] == (
+        "all force readings are early against the angles", 0.5)
+    assert said["the base is tilted about its x axis"] == ("the base is tilted about its x axis", -0.5)
+    for words, (opposite, size) in said.items():
+        assert (size > 0) == any(word in words for word in ("late", "too ", "heavier"))
+        assert (size > 0) == any(word in opposite for word in ("early", "too ", "lighter"))
+
+
+@pytest.mark.parametrize(("slow", "quick"), [(0.3, 0.0), (0.0, 0.3), (0.0, 0.0)])
+def test_white_noise_is_not_faster_than_smoothing_passes(slow: float, quick: float) -> None:
+    """Most frequencies of white noise are fast: what is beyond its mean counts, not beyond it at each of them."""
+    rng, t = np.random.default_rng(1), np.arange(4000) / 50
+    r = rng.standard_normal(t.size) + slow * np.sin(2 * np.pi * 0.2 * t)
+    r += quick * np.convolve(rng.standard_normal(t.size), np.cos(2 * np.pi * 3.0 * t[:60]), mode="same")
+    motion = SimpleNamespace(segment=np.zeros(t.size, int), interior=np.ones(t.size, bool), t=t,
+                             bandwidth=np.array([1.0]))
+    view = SimpleNamespace(motion=motion, read=np.array([True]), taken=np.ones((t.size, 1), bool), names=("lift",),
+                           residual=r[:, None], noise=np.array([1.0]),
+                           model=SimpleNamespace(machine=SimpleNamespace(balances=("lift",))))
+    found = dict(faster(view))  # type: ignore[arg-type]
+    assert found.keys() == ({"lift"} if quick else set())
+    assert all(2.0 < each.hertz < 4.0 for each in found.values())
 
 
 def test_steps_of_valves_are_faster_than_smoothing_passes(excavator: tuple[Model, np.ndarray, Trajectory]) -> None:

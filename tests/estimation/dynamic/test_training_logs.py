@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -62,3 +63,40 @@ def test_the_command_ends_with_3_unless_forced(log: ho.Log, tmp_path: Path) -> N
     assert "contradicts the machine file" in done.output
     assert not (tmp_path / "out/cat215b.toml").exists()
     assert ho.load(tmp_path / "out").status is Status.SUSPECT
+
+
+@pytest.fixture(scope="module")
+def in_degrees() -> tuple[ho.Model, ho.Log]:
+    model = ho.Model("excavator_bucket")
+    log = ho.simulate(model, ho.random_trajectory(model, duration=12.0, rate=25.0, seed=1), seed=1)
+    angles = {name: x for name, x in log.channels.items() if ".length" not in name}
+    return model, replace(log, channels={**angles, "bucket.q": np.degrees(angles["bucket.q"])})
+
+
+def test_what_ends_a_fit_is_named_by_the_mistake_in_the_log(in_degrees: tuple[ho.Model, ho.Log]) -> None:
+    """Time in milliseconds lets no joint move; angles in degrees open a linkage, so that the model is no number."""
+    lift = ho.Model("patu655_lift")
+    log = ho.simulate(lift, ho.random_trajectory(lift, duration=12.0, rate=25.0, seed=1), seed=1)
+    slow = replace(log, t=1000 * log.t)
+    with pytest.raises(SolverError, match="agrees with the time in milliseconds"):
+        ho.solve(ho.identification_problem(lift, [slow]), "wls", intervals=False)
+    with pytest.raises(SolverError, match=r"agrees with bucket\.q in deg"):
+        ho.solve(ho.identification_problem(in_degrees[0], [in_degrees[1]]), "wls", intervals=False)
+
+
+def test_postures_that_the_machine_cannot_take_are_refused(in_degrees: tuple[ho.Model, ho.Log],
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where no mistake explains them."""
+    monkeypatch.setattr("hydroopt.estimation.dynamic.identify.contradictions", lambda *_: ())
+    with pytest.raises(ho.LogError, match=r"a linkage does not close, .*unit, sign or zero of bucket\.q,"):
+        ho.solve(ho.identification_problem(in_degrees[0], [in_degrees[1]]), "wls", intervals=False)
+
+
+def test_a_log_without_sensor_errors_is_called_so(log: ho.Log) -> None:
+    """Smoothing as the sensors' rates ask for would be what is left."""
+    model = ho.Model(ho.load_machine("patu655_lift").model_copy(update={"sensors": (), "bandwidth": None}))
+    exact = ho.simulate(model, ho.random_trajectory(model, duration=12.0, rate=50.0, seed=1), seed=1)
+    found = ho.solve(ho.identification_problem(model, [exact]), "wls", intervals=False)
+    assert any(each.kind is Kind.NO_SENSOR_ERRORS for each in found.diagnostics)
+    other = ho.solve(ho.identification_problem("cat215b", [log]), "wls", intervals=False)
+    assert not any(each.kind is Kind.NO_SENSOR_ERRORS for each in other.diagnostics)

@@ -22,12 +22,13 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
     """Causes that may be named, or else readings that nothing listed explains; spikes and lines."""
     for cause in found.causes:
         fault = cause.fault
-        tied = [other.words for other in cause.tied if other.words != fault.words]
+        words, amount = fault.said(cause.size)
+        tied = [other.fault.said(other.size)[0] for other in cause.tied if other.fault.words != fault.words]
         yield Diagnostic(Kind.MISFIT_CAUSE, fault.subject, {
-            "cause": fault.words, "fault": fault.name,
+            "cause": words, "fault": fault.name, "amount": amount * fault.factor,
             "remedy": _remedy(fault),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor,
-            "unit": fault.unit, "evidence": cause.evidence, "tied": [other.name for other in cause.tied],
+            "unit": fault.unit, "evidence": cause.evidence, "tied": [other.fault.name for other in cause.tied],
             "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
     if not found.causes:
         yield from _unexplained(found)
@@ -75,8 +76,10 @@ def detectable(found: Misfit) -> Diagnostic | None:
 def freed_faults(freed: Freed) -> Iterator[Diagnostic]:
     """The sizes of freed faults."""
     for k, fault in enumerate(freed.faults):
+        words, amount = fault.said(float(freed.size[k]))
         yield Diagnostic(Kind.FREED_FAULT, fault.subject, {
-            "cause": fault.words, "group": fault.group, "size": float(freed.size[k] * fault.factor),
+            "cause": words, "amount": amount * fault.factor, "group": fault.group,
+            "size": float(freed.size[k] * fault.factor),
             "std": number(float(freed.covariance[k, k]) ** 0.5 * fault.factor), "unit": fault.unit})
 
 

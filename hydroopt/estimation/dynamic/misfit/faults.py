@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ class Fault(ABC):
     Attributes:
         group: the word that stands for it and its like in options: ``delay``.
         subject: channels, actuators or bodies that have it.
-        words: what it is, for sentences.
+        words: what it is, for sentences; `opposite`: the same where its size is negative.
         unit: of its size as printed, `factor` times the SI size.
         scale: usual size in SI.
         positive: whether its size cannot be negative.
@@ -63,6 +63,11 @@ class Fault(ABC):
     positive: bool = False
     motion: bool = False
     free: bool = True
+    opposite: str = field(default="", kw_only=True)
+
+    def said(self, size: float) -> tuple[str, float]:
+        """What it is at a size [SI], and the size in the direction of these words."""
+        return (self.opposite, -size) if self.opposite and size < 0 else (self.words, size)
 
     @abstractmethod
     def effect(self, view: View, size: float) -> Array:

@@ -57,14 +57,14 @@ def _usual(view: View) -> Iterator[Fault]:
     machine, n = view.model.machine, len(view.model.machine.balances)
     read = tuple(np.flatnonzero(view.read[:n]).tolist())  # no transducer of a passive joint can be late
     yield ForcesLate("delay", ("forces",), "all force readings are late against the angles", "ms", 0.03, 1e3,
-                     motion=True, readings=read)
+                     motion=True, readings=read, opposite="all force readings are early against the angles")
     yield ForcesLate("clock", ("forces",), "the clock of the forces drifts against that of the angles, over the log",
                      "ms", 0.05, 1e3, motion=True, readings=read, drifts=True)
     yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, readings=read)
     if len(read) > 1:
         for k, name in ((k, machine.balances[k].name) for k in read):
             yield ForcesLate("delay", (name,), f"the force readings of {name} are late", "ms", 0.03, 1e3, motion=True,
-                             readings=(k,))
+                             readings=(k,), opposite=f"the force readings of {name} are early")
             yield Lag("lag", (name,), f"the force readings of {name} lag behind", "ms", 0.03, 1e3, True, True,
                       readings=(k,))
     yield from _of_joints(view)
@@ -88,9 +88,9 @@ def _of_joints(view: View) -> Iterator[Fault]:
         angle = np.radians(1.0) if turns else 0.01
         if len(machine.joints) > 1 or view.lengths:
             yield AngleLate("delay", (f"{joint}.q",), f"the readings of {joint}.q are late", "ms", 0.03, 1e3,
-                            motion=True, joint=j)
+                            motion=True, joint=j, opposite=f"the readings of {joint}.q are early")
         yield AngleOffset("offset", (f"{joint}.q",), f"{joint}.q reads too much", unit, angle, factor, motion=True,
-                          joint=j)
+                          joint=j, opposite=f"{joint}.q reads too little")
         yield Play("play", (f"{joint}.q",), f"{joint} has play against its sensor", unit, 0.3 * angle, factor, True,
                    True, joint=j)
 
@@ -109,10 +109,11 @@ def _of_forces(view: View, k: int) -> Iterator[Fault]:
     chambers = [channel for each in balance.actuators for channel in each.effort_factors if channel in view.pressures]
     for channel in chambers:
         yield Scaled("gain", (channel,), f"{channel} reads too much, or the area stated for it is too large",
-                     "%", TYPICAL, 100.0)
+                     "%", TYPICAL, 100.0,
+                     opposite=f"{channel} reads too little, or the area stated for it is too small")
     if not chambers:
         yield Added("gain", (name,), f"the force readings of {name} are too large", "%", TYPICAL, 100.0,
-                    course="reading", reading=k)
+                    course="reading", reading=k, opposite=f"the force readings of {name} are too small")
     drift = max(abs(f) for f in factors.values()) * DRIFT if chambers and factors else size
     yield Added("drift", (name,), f"the force readings of {name} drift over the log", unit, drift, course="time",
                 reading=k)
@@ -135,7 +136,8 @@ def _kinds_of(view: View, balance: Balance) -> Iterator[ParameterKind]:
 
 def _of_lengths(view: View, k: int) -> Iterator[Fault]:
     name = view.names[k]
-    yield ForcesLate("delay", (name,), f"the readings of {name} are late", "ms", 0.03, 1e3, motion=True, readings=(k,))
+    yield ForcesLate("delay", (name,), f"the readings of {name} are late", "ms", 0.03, 1e3, motion=True, readings=(k,),
+                     opposite=f"the readings of {name} are early")
     yield Added("drift", (name,), f"the readings of {name} drift over the log", "mm", 0.01, 1e3, course="time",
                 reading=k)
 
@@ -149,7 +151,7 @@ def _of_bodies(view: View) -> Iterator[Fault]:
     for words, group in groups.items():
         if len(group) > 1 and (words == "all bodies" or len(group) < len(owners)):
             yield Bodies("bodies", (words,), f"{words} are heavier than stated", "%", 1.0, 100.0, free=False,
-                         owners=group)
+                         owners=group, opposite=f"{words} are lighter than stated")
     for owner in owners:
         yield Bodies("bodies", (owner,), f"{owner} is heavier than stated", "%", 1.0, 100.0, free=False,
-                     owners=(owner,))
+                     owners=(owner,), opposite=f"{owner} is lighter than stated")

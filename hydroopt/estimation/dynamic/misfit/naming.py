@@ -56,7 +56,7 @@ class Cause:
     std: float
     evidence: float
     repeats: bool
-    tied: tuple[Fault, ...] = ()
+    tied: tuple[Cause, ...] = ()
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -69,7 +69,7 @@ class Cause:
         return {"fault": self.fault.name, "words": self.fault.words, "unit": self.fault.unit,
                 "size": number(self.size * factor), "std": number(self.std * factor),
                 "ci95": [number(limit * factor) for limit in self.ci95], "evidence": number(self.evidence),
-                "repeats": self.repeats, "not_separable_from": [other.name for other in self.tied]}
+                "repeats": self.repeats, "not_separable_from": [other.fault.name for other in self.tied]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +272,7 @@ class Search:
             first, second = ((part[0][k] + base, part[1][k]) for part in parts)
             repeats = _repeats(first, second)
             made.append(Cause(tied[0].fault, float(base + size[k]), float(std[k]), tied[0].evidence, repeats,
-                              tuple(c.fault for c in tied[1:])))
+                              tied[1:]))
         return tuple(made)
 
     def _joint(self, held: list[Columns], residual: Columns, blocks: Array) -> tuple[Array, Array]:

@@ -15,6 +15,8 @@ SLOWEST_LINE, CLEAR = 3.0, 1e-6
 """Lines are looked for above this frequency [Hz]; probability below which one is no noise."""
 MOSTLY = 0.5
 """Part of what residuals hold beyond white noise that is faster than the bandwidth, from which on the motion is."""
+CHANCE = 5.0
+"""Standard deviations of white noise's own power, beyond which power faster than the bandwidth is no chance."""
 FEW = 64
 """Samples of a stretch that a spectrum needs."""
 
@@ -52,20 +54,28 @@ def lines(view: View) -> Iterator[tuple[str, Line]]:
 
 
 def faster(view: View) -> Iterator[tuple[str, Fast]]:
-    """Forces whose residuals, beyond white noise, are mostly faster than what smoothing passes."""
+    """Forces whose residuals, beyond white noise, are mostly faster than what smoothing passes.
+
+    White noise's power scatters as much as it is large, so that its mean is taken from sums and not from each
+    frequency: what is left of single frequencies above it would be fast, since most frequencies are.
+    """
     band = float(np.max(view.motion.bandwidth))
     for k, hertz, power, size in _spectra(view):
         if k >= len(view.model.machine.balances):
             break
-        beyond = np.maximum(power - size * view.noise[k] ** 2, 0.0) * (hertz > 0)
-        calm = np.convolve(beyond, np.ones(9) / 9, mode="same")  # single lines count as little as they hold
-        part = float(np.sum(beyond[hertz > band]) / max(float(np.sum(beyond)), 1e-300))
-        if part > MOSTLY:
-            yield view.names[k], Fast(part, float(hertz[int(np.argmax(np.where(hertz > band, calm, 0.0)))]), band)
+        white = size * view.noise[k] ** 2
+        quick, slow = hertz > band, (hertz > 0) & (hertz <= band)
+        fast, rest = (float(np.sum(power[of] - white)) for of in (quick, slow))
+        if fast < CHANCE * white * np.sqrt(np.sum(quick)) or fast < MOSTLY * (fast + max(rest, 0.0)):
+            continue
+        calm = np.convolve(np.maximum(power - white, 0.0), np.ones(9) / 9, mode="same")  # of single lines, their part
+        yield view.names[k], Fast(fast / (fast + max(rest, 0.0)),
+                                  float(hertz[int(np.argmax(np.where(quick, calm, 0.0)))]), band)
 
 
 def _spectra(view: View) -> Iterator[tuple[int, Array, Array, int]]:
-    """Of each reading of a sensor: its place, frequencies [Hz], power of residuals in the longest stretch, samples."""
+    """Of each reading of a sensor: its place, frequencies [Hz], power of residuals in the longest stretch, and how many
+    of its samples take part."""
     motion = view.motion
     longest = int(np.argmax(np.bincount(motion.segment - motion.segment[0]))) + motion.segment[0]
     at = np.flatnonzero((motion.segment == longest) & motion.interior)
@@ -74,4 +84,5 @@ def _spectra(view: View) -> Iterator[tuple[int, Array, Array, int]]:
     hertz = np.fft.rfftfreq(at.size, float(np.median(np.diff(motion.t[at]))))
     for k in np.flatnonzero(view.read).tolist():
         r = np.where(view.taken[at, k], view.residual[at, k], 0.0)
-        yield k, np.asarray(hertz, dtype=float), np.abs(np.fft.rfft(r - r.mean())) ** 2, at.size
+        power = np.abs(np.fft.rfft(r - r.mean())) ** 2
+        yield k, np.asarray(hertz, dtype=float), power, max(int(np.sum(view.taken[at, k])), 1)
