@@ -278,7 +278,7 @@ def refuse_idle(layout: LogMap, where: str, *, mapped: bool) -> None:
     if mapped:
         raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
                        "which unit, and remove the # before it")
-    raise LogError("no column is named as a channel", where=where, remedy="name columns like 'boom.q [deg]' or "
+    raise LogError("there is no channel", where=where, remedy="name columns like 'boom.q [deg]' or "
                    "'boom_cylinder.p_head [bar]', or state a map: 'hydroopt map' proposes one")
 
 
