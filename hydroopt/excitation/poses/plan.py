@@ -104,7 +104,8 @@ class PosePlan(Answer):
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """Which dimensions a calibration with these poses will determine."""
-        return tuple(determined(Purpose.DIMENSIONS, each, condition="expected 95 % intervals",
+        without = "" if self.problem.priors else ", without the machine file's confidences (--priors)"
+        return tuple(determined(Purpose.DIMENSIONS, each, condition=f"expected 95 % intervals{without}",
                                 unknown="not determined by these poses")
                      for each in self.parameters.rows if each.identifiability != "fixed")
 
