@@ -148,8 +148,8 @@ class MotionCheck(Answer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """Another motion, where limits are broken."""
         if any(each.broken or each.short for each in self.table):
-            return (NextStep(Action.DRIVE, "Drive it slower or over less range, or design one: "
-                                           f"'hydroopt excite {self.model.machine.source} -o motion'."),)
+            return (NextStep(Action.DRIVE, "Drive it slower or over less range, or design one:",
+                             f"hydroopt excite {self.model.machine.source} -o motion"),)
         return ()
 
     @property

@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from hydroopt import interrupt
 from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
+from hydroopt.cli.typed import WORDS
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
 JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
@@ -92,6 +93,7 @@ class Deferred(TyperCommand):
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """The context of the command itself."""
         module = import_module(f"{__name__}.{self.key}")
+        WORDS.set((str(self.name), *args))
         if hasattr(module, "app"):
             return typer.main.get_command(module.app).make_context(info_name, args, parent, **extra)
         function, group = getattr(module, self.key), typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -7,15 +7,26 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydroopt.cli.terminal import echo
+from hydroopt.cli.typed import WORDS
 from hydroopt.errors import SolverError
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
     from hydroopt.results.answer import Answer
     from hydroopt.results.json_file import Job
+
+
+SomeAnswer = TypeVar("SomeAnswer", bound="Answer")
+
+
+def continued(answer: SomeAnswer, directory: Path) -> SomeAnswer:
+    """The answer of this command, which is saved in a directory, with next steps that can be copied."""
+    from hydroopt.results.command_line import CommandLine
+
+    return answer.typed(CommandLine(WORDS.get(), str(directory)))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.answers import continued, failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -94,7 +94,7 @@ def calibrate(
             if leave_out and np.any(solved.suspicious):
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree", 0.45)
                 solved = without_suspects(solved, starts=starts)
-        solved = replace(solved, compliance_choice=choice)
+        solved = continued(replace(solved, compliance_choice=choice), output)
         say("writing the report", 0.8)
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
     print_answer(solved, output, str(solved) if choice is None else f"{choice}\n{solved}", quiet=quiet,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import failure_saved, print_answer, refuse_refuted
+from hydroopt.cli.answers import continued, failure_saved, print_answer, refuse_refuted
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -52,7 +52,7 @@ def calibrate_sensors(
     problem = sensor_problem(described, recorded, [read_pose_files(poses)] if poses else (), geometry=geometry)
     with (progress(f"fitting motion and sensors of {described.name} to all readings", quiet) as say,
           failure_saved(output, Job.SENSORS, described, METHOD)):
-        calibration = solve(problem)
+        calibration = continued(solve(problem), output)
         say("writing the report", 0.7)
         calibration.save(output, pages={"report.html": sensors.render(calibration)},
                          wall_s=time.perf_counter() - began)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -113,6 +113,7 @@ def control(
         comparison = replace(found, draws=machines, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
+        comparison = continued(comparison, output)
         say("writing the report and the code", 0.95)
         pages: dict[str, str | bytes | None] = {"report.html": report.render(comparison)}
         best = comparison.feedforward

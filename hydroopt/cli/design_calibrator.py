@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -84,7 +84,7 @@ def design_calibrator(
         sensors=[_offer(text) for text in sensor or ()], link_cost=link_cost, keep=keep or (), workshop=workshop,
         priors=priors, fixed=parameter_values(fix, pose_problem(described, 1).parameters) if fix else {})
     with progress(f"designing a calibrator for {described.name}", quiet) as say:
-        found = design(problem, starts=starts, effort=effort, seed=seed, progress=say)
+        found = continued(design(problem, starts=starts, effort=effort, seed=seed, progress=say), output)
     found.save(output, pages={"report.html": render(found), "calibrator.svg": str(drawing(found))},
                wall_s=time.perf_counter() - began)
     print_answer(found, output, found.sheet(), quiet=quiet, as_json=as_json)

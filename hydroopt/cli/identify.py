@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.answers import continued, failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
@@ -144,6 +144,7 @@ def identify(
                 estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
+        estimate = continued(estimate, output)
         say("testing the fit", 0.4)
         _ = estimate.diagnostics  # computed here, and kept
         say("writing the report", 0.7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.answers import continued, failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -51,7 +51,7 @@ def identify_valves(
     problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout))
     with (progress(f"adjusting the volume balances of {described.name}", quiet) as say,
           failure_saved(output, Job.HYDRAULICS, described, METHOD, lambda: problem.inputs)):
-        estimate = solve(problem)
+        estimate = continued(solve(problem), output)
         say("running free over all logs, writing the report", 0.7)
         estimate.save(output, pages={"report.html": valves.render(estimate)}, wall_s=time.perf_counter() - began)
     print_answer(estimate, output, quiet=quiet, as_json=as_json)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import AsJson, Directory, Fixed, MachineName, Quiet, Seed, SetUp, parameter_values, progress
 
 
@@ -50,6 +50,6 @@ def measure_up(
                                      setups=setup or ("",))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.poses.parameters))
-        plan = fewest_readings(problem, seed=seed, progress=say)
+        plan = continued(fewest_readings(problem, seed=seed, progress=say), output)
     plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)
     print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -201,7 +202,7 @@ class Dialogue:
         measured = sum(bool(answer) for answer in self.sketch.answers.values())
         echo(f"{self.file}: {machine!r}, {measured} answers, {len(self.sketch.answers) - measured} typical numbers "
              f"marked as assumed.\nSide view: {self.file.with_suffix('.html')}. Answers: {self.journal}.\n"
-             f"Next: hydroopt show {self.file}")
+             f"Next: hydroopt show {shlex.quote(str(self.file))}")
         return True
 
 

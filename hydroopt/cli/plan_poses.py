@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -57,6 +57,6 @@ def plan_poses(
                                priors=priors, setups=setup or ("",))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
-        plan = fedorov_exchange(problem, candidates=candidates, seed=seed, progress=say)
+        plan = continued(fedorov_exchange(problem, candidates=candidates, seed=seed, progress=say), output)
     plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)
     print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)

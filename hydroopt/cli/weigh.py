@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -116,6 +116,7 @@ def weigh(
         say(f"weighing along {', '.join(each.name for each in logs)}", (steps - 2) / steps)
         found = weighing.weigh(made, read(logs), tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
+        found = continued(found, output)
         say("writing the report", (steps - 1) / steps)
         files = _c_of(found, single=float32, measured=sizes, directory=output / "c") if code else {}
         found.save(output, pages={"report.html": render(found)}, wall_s=time.perf_counter() - began)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
+from hydroopt.cli.answers import continued, print_answer
 from hydroopt.cli.options import AsJson, Directory, MachineName, MotionFile, Quiet, Seed, progress
 
 
@@ -79,6 +79,7 @@ def what_next(
             without=without or (), base_tilt=to_si(base_tilt, "rad", where="--base-tilt"), seed=seed)
         plan = plan_next(problem, minutes=float("inf") if budget is None else budget,
                          least=to_si(least, "1", where="--least"), progress=say)
+    plan = continued(plan, output)
     plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)
     print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)
 

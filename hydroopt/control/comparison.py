@@ -131,16 +131,20 @@ class Comparison(Answer):
         """What to do with the best controller, or for one that can be used."""
         best = self.winner
         if self.uses[0].usable is Usable.YES:
-            return (NextStep(Action.USE, "Write the feedforward as C with 'hydroopt codegen', and begin at a tenth of "
-                                         "the speed."),)
+            return () if self.feedforward is None else (NextStep(
+                Action.USE, f"Build and test the feedforward in C, and begin at a tenth of the speed: "
+                            f"make -C {self.command_line.path('c')} check"),)
+        machine = self.setting.plant.machine.source
         small = any(best.name in each.subject for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS))
         steps = []
         if small and any(each.lost > 0 for each in self.lost_margins):
-            steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them: "
-                                                f"'hydroopt plan-valve-test {self.machine.source}'."))
+            steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them; plan their test:",
+                                  f"hydroopt plan-valve-test {machine} -o valve_test"))
         if small and self.setting.sensitivity > ROBUST:
-            steps.append(NextStep(Action.CHECK, f"Give --sensitivity {ROBUST:g}: loops are slower and more robust."))
-        return tuple(steps) or (NextStep(Action.DRIVE, "Give a slower motion: --motion LOG."),)
+            steps.append(NextStep(Action.CHECK, f"Loops are slower and more robust with --sensitivity {ROBUST:g}.",
+                                  self.command_line.again("--sensitivity", f"{ROBUST:g}")))
+        return tuple(steps) or (NextStep(Action.DRIVE, "Give a slower motion, for instance that of:",
+                                         f"hydroopt excite {machine} --speed '50 %' -o motion"),)
 
     @cached_property
     def parameters(self) -> ParameterTable:

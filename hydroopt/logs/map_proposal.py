@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -160,9 +159,9 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         LogError: the file is damaged or of an unknown kind.
     """
     wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
-    names = {word.lower() for channel in wanted for word in re.findall(r"[^\W\d_]+", channel.rpartition(".")[0])}
+    parts = {channel.rpartition(".")[0] for channel in wanted}
     with open_files([str(path)], None, listed=True) as source:
-        columns = [column for sheet in source.sheets for column in _columns(sheet, names)]
+        columns = [column for sheet in source.sheets for column in _columns(sheet, parts)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1
         times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
@@ -205,10 +204,10 @@ def _key(channel: str) -> str:
     return channel if channel == "t" else f'"{channel}"'
 
 
-def _columns(sheet: Sheet, names: Collection[str]) -> Iterator[ColumnOf]:
+def _columns(sheet: Sheet, parts: Collection[str]) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
     for index, header in enumerate(sheet.content.header):
-        named = naming(header, names)
+        named = naming(header, parts)
         if sheet.name and not any(part.isspace() for part in sheet.name):
             named = replace(named, of_sheet=words_of(sheet.name))
         try:

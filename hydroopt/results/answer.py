@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from hydroopt.errors import ProblemError
 from hydroopt.extras import needed
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
+from hydroopt.results.command_line import CommandLine
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
@@ -51,6 +53,14 @@ class Answer(Drawn, ABC):
 
     job: json_file.Job
     """Which job it answers."""
+    command_line: ClassVar[CommandLine] = CommandLine()
+    """What was typed to get it, see `typed`; it is not part of the answer."""
+
+    def typed(self, command_line: CommandLine) -> Self:
+        """The same answer, whose next steps continue what was typed."""
+        made = copy.copy(self)
+        made.__dict__["command_line"] = command_line
+        return made
 
     @property
     @abstractmethod
@@ -109,6 +119,12 @@ class Answer(Drawn, ABC):
     def next_steps(self) -> tuple[NextStep, ...]:
         """What to do next, the most useful first, beside removing what contradicts it."""
         return ()
+
+    @property
+    def using_machine(self) -> tuple[str, str]:
+        """What to do with the calibrated machine file that is saved, and a command that does it."""
+        return ("Use the calibrated machine file in all other commands, such as:",
+                f"hydroopt show {self.command_line.path(f'{self.machine_name}.toml')}")
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:

@@ -175,10 +175,14 @@ class Action(StrEnum):
 
 @dataclass(frozen=True)
 class NextStep:
-    """What to do next: an action, and a sentence that says how."""
+    """What to do next: an action, a sentence that says how, and the command that does it, if there is one.
+
+    The command is what can be copied to a shell, where all that it needs is known.
+    """
 
     action: Action
     text: str
+    command: str = ""
 
 
 @dataclass(frozen=True)
@@ -195,11 +199,12 @@ class Verdict:
 
     >>> verdict = Verdict("crane: identification", Status.OK, "", (
     ...     Use(Purpose.FORCES, "lift_cylinder", Usable.YES, 260.0, "N", 0.02, "on 1 held-out log"),),
-    ...     (NextStep(Action.USE, "Write C with 'hydroopt codegen out'."),))
+    ...     (NextStep(Action.USE, "Write the model as C:", "hydroopt codegen out -o c"),))
     >>> print(verdict.card())
     crane: identification: ok
       usable      force prediction: lift_cylinder ±260 N (2.0 %); on 1 held-out log
-      next        Write C with 'hydroopt codegen out'.
+      next        Write the model as C:
+                  hydroopt codegen out -o c
     >>> verdict.usable(Purpose.FORCES), verdict.usable(Purpose.CONTROL), verdict.serves
     (True, False, True)
     """
@@ -241,7 +246,9 @@ class Verdict:
         return "\n".join([*lines[:max(limit - len(steps), 1)], *steps])
 
     def _steps(self, most: int, width: int) -> list[str]:
-        return [line for step in self.next_steps[:most] for line in _wrapped(step.text, "next", width)]
+        """Next steps; commands stay on one line of their own, so that they can be copied."""
+        return [line for step in self.next_steps[:most] for line in (
+            *_wrapped(step.text, "next", width), *([f"{'':14}{step.command}"] if step.command else []))]
 
     def _lines(self, most: int, width: int, *, conditions: bool) -> list[str]:
         """The card without next steps, with so many subjects a purpose at most."""
@@ -262,14 +269,15 @@ class Verdict:
             texts = [f"{purpose}: {_folded(some, 3, conditions=True)}" for purpose in Purpose if (
                 some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)])]
             said |= {str(usable): ". ".join(texts)} if texts else {}
-        return said | ({"next": self.next_steps[0].text} if self.next_steps else {})
+        return said | ({"next": " ".join(filter(None, (
+            self.next_steps[0].text, self.next_steps[0].command)))} if self.next_steps else {})
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file; `from_dict` reads it."""
         return {"title": self.title, "status": str(self.status), "cause": self.cause,
                 "finding": self.finding,
                 "uses": [use.as_dict() for use in self.uses],
-                "next_steps": [{"action": str(step.action), "text": step.text} for step in self.next_steps],
+                "next_steps": [asdict(step) | {"action": str(step.action)} for step in self.next_steps],
                 "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
                                for purpose in dict.fromkeys(use.purpose for use in self.uses) if purpose in THRESHOLDS}}
 
@@ -282,7 +290,8 @@ class Verdict:
         """
         uses = tuple(Use(**{**use, "purpose": Purpose(use["purpose"]), "usable": Usable(use["usable"])})
                      for use in entry["uses"])
-        steps = tuple(NextStep(Action(step["action"]), str(step["text"])) for step in entry["next_steps"])
+        steps = tuple(NextStep(Action(step["action"]), str(step["text"]), str(step.get("command", "")))
+                      for step in entry["next_steps"])
         return cls(str(entry["title"]), Status(entry["status"]), str(entry["cause"]), uses, steps,
                    str(entry.get("finding", "")))
 

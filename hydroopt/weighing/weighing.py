@@ -240,7 +240,8 @@ class Weighing(Answer):
             return (NextStep(Action.CHECK, "If a load was carried, check that the machine was empty during the tare: "
                                            "--tare states how long it is at the beginning."),)
         known = NextStep(Action.MEASURE, (
-            "Weigh one known load, --known '1200 kg:weight.csv': only it shows errors of areas and sensors' scales."))
+            "Weigh one known load, such as 1200 kg in weight.csv: only it shows errors of areas and sensors' scales."),
+            self.command_line.again("--known", "1200 kg:weight.csv"))
         if all(each.ok for each in self.loads):
             return () if self.scale.known_loads else (known,)
         if any(NORMAL * self.scale.gain * abs(each.mass) > self.needed for each in self.loads):

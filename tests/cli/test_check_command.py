@@ -53,9 +53,10 @@ def test_the_next_command_runs_as_it_is_printed(log: Path, tmp_path: Path, monke
     assert "--treat gap=keep" in steps[0]["text"]
     found = run("check", *options, "--treat", "gap=keep")
     assert "Not judged here: offsets" in found
-    command = shlex.split(" ".join(found.split()).split("Identify: 'hydroopt ")[1].split(" -o out'")[0])
-    assert command[-8:] == ["--map", "map.toml", "--treat", "spike=keep", "--treat", "gap=keep", "--holdout", "0.3"]
-    assert run(*command, "-o", "out").splitlines()[0].endswith(": ok")
+    command = shlex.split(next(line for line in found.splitlines() if line.strip().startswith("hydroopt identify")))
+    assert command[4:] == ["--map", "map.toml", "--treat", "spike=keep", "--treat", "gap=keep", "--holdout", "0.3",
+                           "-o", "out"]
+    assert run(*command[1:]).splitlines()[0].endswith(": ok")
 
 
 def test_as_json(log: Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from fixtures.bad_input_cases import DIGGER
 from fuzzing import mutation
+from hydroopt.cli.new import _read as read_answers
 from hydroopt.cli.options import smoothing_of, treatment_of
 from hydroopt.codegen import parameter_source
 from hydroopt.control.model_variants import nominal_of, truth
@@ -31,14 +32,18 @@ from hydroopt.logs.poses import read_poses
 from hydroopt.logs.stream import open_log, stream
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine
+from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.results.answer import load
+from hydroopt.simulation.pose_table import simulate_poses
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.units import to_si
 
 MODELS = Path(__file__).parents[2] / "models"
 ARM = "patu655_lift"
+RIG = str(Path(__file__).parents[2] / "docs/how-to/measure_up.toml")
+"""A machine whose geometry is measured by hand."""
 
 URDF = """<?xml version="1.0"?>
 <robot name="arm"><link name="ground"/>
@@ -93,6 +98,32 @@ def log_text() -> str:
     columns = motion()
     rows = zip(*(columns[name] for name in columns), strict=True)
     return ",".join(columns) + "\n" + "\n".join(",".join(f"{cell:.6g}" for cell in row) for row in rows) + "\n"
+
+
+@cache
+def sheet_text() -> str:
+    """A table of poses of the excavator that is measured up, as filled in on the site."""
+    machine = load_machine(RIG)
+    rows = "".join(f",,{k},{0.3 * k - 1.2},{0.2 - 0.06 * k},{-1.5 + 0.1 * k},{-0.3 - 0.1 * k}\n" for k in range(8))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "postures.csv"
+        file.write_text("stage,fixture,pose,swing.q [rad],boom.q [rad],stick.q [rad],bucket.q [rad]\n" + rows, "utf-8")
+        found = simulate_poses(KinematicModel(machine), read_poses(file), seed=1)
+    return found.poses.encoded(parquet=False).decode()
+
+
+ANSWERS = """kind = "excavator"
+"name" = "digger"
+"swing.height" = "28 in"
+"boom.length" = "6235 mm"
+"boom_cylinder.barrel_up" = "-22,5 cm"
+"boom.extends" = "up"
+"boom_cylinder.bore" = "13 cm"
+"boom_cylinder.jacks" = "2"
+"stick.length" = "3 m"
+"stick.mass" = ""
+"bucket.mass" = "700 kg"
+"""
 
 
 @cache
@@ -195,6 +226,24 @@ def _poses(rng: random.Random, folder: Path) -> Callable[[], object]:
     return lambda: read_poses(file)
 
 
+def _sheet(rng: random.Random, folder: Path) -> Callable[[], object]:
+    file = folder / "sheet.csv"
+    file.write_bytes(mutation.text(rng, sheet_text()))
+    return lambda: read_poses(file)
+
+
+def _answers(rng: random.Random, folder: Path) -> Callable[[], object]:
+    file = folder / "answers.toml"
+    file.write_bytes(mutation.text(rng, ANSWERS))
+    return lambda: read_answers(file)
+
+
+def _rig(rng: random.Random, folder: Path) -> Callable[[], object]:
+    file = folder / "rig.toml"
+    file.write_bytes(mutation.text(rng, Path(RIG).read_text("utf-8")))
+    return lambda: load_machine(file)
+
+
 def _truth(rng: random.Random, folder: Path) -> Callable[[], object]:
     file, plant = folder / "truth.json", _plant()
     psi = dict(zip(plant.model.parameters.names, plant.model.parameters.nominal.tolist(), strict=True))
@@ -260,9 +309,10 @@ def _option(rng: random.Random, folder: Path) -> Callable[[], object]:
 
 Spoil = Callable[[random.Random, Path], Callable[[], object]]
 KINDS: dict[str, tuple[Spoil, float]] = {
-    "machine file": (_machine, 0.15), "URDF": (_urdf, 0.13), "CSV log": (_csv, 0.13), "Parquet log": (_parquet, 0.1),
+    "machine file": (_machine, 0.13), "URDF": (_urdf, 0.10), "CSV log": (_csv, 0.13), "Parquet log": (_parquet, 0.1),
     "MATLAB content": (_matlab, 0.08), "column map": (_map, 0.1), "pose table": (_poses, 0.12), "truth": (_truth, 0.06),
     "trajectory": (_trajectory, 0.05), "estimate folder": (_estimate, 0.04), "option value": (_option, 0.0385),
+    "filled sheet": (_sheet, 0.02), "answers": (_answers, 0.02), "rig": (_rig, 0.01),
     "MATLAB file": (_matlab_process, 0.0015)}
 """By name: what makes a spoilt input of the kind and the reader that gets it, and the kind's part of all inputs."""
 CONTAINED = "MATLAB content"
@@ -299,5 +349,5 @@ def shares(total: int) -> dict[str, int]:
 
 def prepare() -> None:
     """Compute once what all inputs start from."""
-    for start in (machine_texts, log_text, estimate, _plant):
+    for start in (machine_texts, log_text, sheet_text, estimate, _plant):
         start()

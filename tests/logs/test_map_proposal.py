@@ -193,6 +193,40 @@ def test_numbered_joints_and_a_time_by_its_step_are_proposed(machine, log, tmp_p
         refused(found, f"{joint}.q", "number 1 of 3 in the machine file's order")
 
 
+EXCAVATOR = ("swing", "boom", "stick", "bucket", "swing_motor", "boom_cylinder", "stick_cylinder", "bucket_cylinder")
+LOADER = ("lift", "bucket", "z_bar", "lift_cylinder", "tilt_cylinder")
+KNUCKLE = ("slew", "main", "knuckle", "telescope", "main_cylinder", "knuckle_cylinder", "telescope_cylinder")
+CRANE = ("slew", "main_boom", "outer_boom", "main_cylinder", "outer_cylinder")
+
+
+@pytest.mark.parametrize(("parts", "header", "channel"), [
+    (EXCAVATOR, "Hubzylinder Druck Boden [bar]", "boom_cylinder.p_head"),
+    (EXCAVATOR, "Auslegerzylinder Druck stangenseitig (bar)", "boom_cylinder.p_rod"),
+    (EXCAVATOR, "Stielzylinder Weg [mm]", "stick_cylinder.length"),
+    (EXCAVATOR, "Löffel Neigungswinkel [°]", "bucket.q"), (EXCAVATOR, "Knickarm Winkel (°)", "stick.q"),
+    (EXCAVATOR, "Hubarm Drehwinkel [Grad]", "boom.q"), (EXCAVATOR, "Drehwerk p_A [bar]", "swing_motor.p_a"),
+    (EXCAVATOR, "Drehmotor p_B [bar]", "swing_motor.p_b"), (EXCAVATOR, "Oberwagen Drehrate [deg/s]", "swing.qd"),
+    (EXCAVATOR, "main boom angle [deg]", "boom.q"), (EXCAVATOR, "crowd cylinder cap [bar]", "stick_cylinder.p_head"),
+    (LOADER, "Hubzylinder p Kolben [bar]", "lift_cylinder.p_head"), (LOADER, "boom angle [deg]", "lift.q"),
+    (LOADER, "Hubgerüst Winkel [°]", "lift.q"), (LOADER, "Schaufelzylinder Druck Ring [bar]", "tilt_cylinder.p_rod"),
+    (LOADER, "Schaufel Winkel [°]", "bucket.q"), (KNUCKLE, "Hubzylinder Druck Boden [bar]", "main_cylinder.p_head"),
+    (KNUCKLE, "Knickarmwinkel [°]", "knuckle.q"),
+    (KNUCKLE, "Knickzylinder Druck Stange [bar]", "knuckle_cylinder.p_rod"),
+    (KNUCKLE, "main boom angle [deg]", "main.q"), (KNUCKLE, "Ausschub Weg [mm]", "telescope.q"),
+    (KNUCKLE, "Kransäule Winkel [°]", "slew.q"), (CRANE, "Hubzylinder Druck Boden [bar]", "main_cylinder.p_head"),
+    (CRANE, "Hauptarm Winkel [°]", "main_boom.q"), (CRANE, "Knickarm Winkel [°]", "outer_boom.q"),
+    (CRANE, "Knickzylinder Druck Stange [bar]", "outer_cylinder.p_rod")])
+def test_what_people_call_a_part_is_what_the_machine_has(parts: tuple[str, ...], header: str, channel: str) -> None:
+    kinds = {"q": "m" if channel == "telescope.q" else "rad", "qd": "rad/s", "length": "m"}
+    named = naming(header, parts)
+    suffix = channel.rpartition(".")[2]
+    scores = {part: matched(f"{part}.{suffix}", named, kinds.get(suffix, "Pa")) for part in parts
+              if part.endswith(("cylinder", "motor")) == (suffix not in ("q", "qd"))}
+    best = max(scores.values())
+    assert best > 0
+    assert [part for part, score in scores.items() if score == best] == [channel.rpartition(".")[0]]
+
+
 @pytest.mark.parametrize(("header", "channel"), [
     ("Auslegerzylinder Druck bodenseitig [bar]", "boom_cylinder.p_head"),
     ("Boom ram annulus [kPa]", "boom_cylinder.p_rod"), ("Boom Cyl. Cap End Pressure (MPa)", "boom_cylinder.p_head"),

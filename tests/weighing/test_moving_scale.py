@@ -271,7 +271,7 @@ def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: S
     taught = learned(unsure, weight, 1500.0, 2.0)
     uncertain = weigh(replace(unsure, gain=0.05), log)
     assert not any(each.ok for each in uncertain.loads)
-    assert "--known" in uncertain.next_steps[0].text
+    assert "one known load" in uncertain.next_steps[0].text
     before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (unsure, taught))
     exact = weigh(made, log, tare=0.0).readings[-1].weighed.mass_std
     assert before.mass_std**2 == pytest.approx((0.02 * before.mass) ** 2 + exact**2)
@@ -307,7 +307,7 @@ def test_a_known_load_corrects_wrong_areas(wrong: str, made: Scale, log: ho.Log,
     assert "true to the stated areas and sensors' scales" in trusting.headline
     assert all("true to the stated areas" in use.condition for use in trusting.uses)
     assert [each.kind for each in trusting.diagnostics] == [Kind.FORCE_SCALE_ASSUMED]
-    assert "--known" in trusting.next_steps[0].text
+    assert "one known load" in trusting.next_steps[0].text
     motion = ho.random_trajectory(machine.model, duration=20.0, rate=50.0, seed=9)
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
     found, by_right_file = (weigh(learned(each, weight, 1500.0, 2.0), log) for each in (misled, made))

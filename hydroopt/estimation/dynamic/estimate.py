@@ -138,7 +138,7 @@ class Estimate(Identification, Answer):
     @cached_property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would make it better, or how to use it."""
-        return usability.next_steps(self, self.uses)
+        return usability.next_steps(self, self.uses, self.command_line)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

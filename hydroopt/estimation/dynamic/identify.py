@@ -16,6 +16,7 @@ from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.reduced_model import most_probable
 from hydroopt.estimation.dynamic.training_logs import contradictions, explained
+from hydroopt.estimation.dynamic.uncertain_gains import with_uncertain_gains
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
 from hydroopt.estimation.inference import identifiability, sdp
 from hydroopt.estimation.inference import least_squares as linear
@@ -171,8 +172,13 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
         problem, tolerance,
         least_squares if method in _LINEAR else lambda R, r: most_probable(problem, method, R, r).psi, point,
         priors=method not in _LINEAR)
-    weighted = weighted if freed is None else freed.widened(weighted)
     names = problem.parameters.names
+    if freed is None or not any(fault.group == "gain" for fault in freed.faults):
+        for _ in range(2 if problem.model.machine.faults.gain else 0):  # first about what exact gains lead to
+            at = (linear.base_least_squares(weighted.R, weighted.r, names, tolerance)[0] if method in _LINEAR
+                  else most_probable(problem, method, weighted.R, weighted.r).psi)
+            weighted = with_uncertain_gains(weighted, at)
+    weighted = weighted if freed is None else freed.widened(weighted)
     from_data = identifiability.analyse(weighted.plain[0], names, tolerance=tolerance)
     psi, _, _ = linear.base_least_squares(weighted.R, weighted.r, names, tolerance, from_data)
     _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)

@@ -167,10 +167,10 @@ class LogCheck(Answer):
             steps.append(NextStep(Action.DRIVE, (
                 f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
         if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
-            steps.append(NextStep(Action.DRIVE, (
-                f"Add the motion that 'hydroopt excite {machine}{logged}{mapped} -o motion' designs.")))
-        steps.append(NextStep(Action.USE, (
-            f"Identify: 'hydroopt identify {machine} {logs}{read} --holdout 0.3 -o out'.")))
+            steps.append(NextStep(Action.DRIVE, "Design a motion, drive it, and add its log:",
+                                  f"hydroopt excite {machine}{logged}{mapped} -o motion"))
+        steps.append(NextStep(Action.USE, "Identify:",
+                              f"hydroopt identify {machine} {logs}{read} --holdout 0.3 -o out"))
         return tuple(steps)
 
     @cached_property

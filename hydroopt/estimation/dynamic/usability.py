@@ -10,15 +10,18 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.capacity import LOADED, WORKING_PRESSURE, Capacity, capacity
+from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.machine.unmeasured_joints import UnmeasuredJoint, unmeasured_joints
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.command_line import CommandLine
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
-from hydroopt.results.readable import readable
+from hydroopt.results.readable import percentage, readable
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
 from hydroopt.spatial.inertia import Array
 
@@ -48,15 +51,23 @@ def uses(found: Identification, parameters: ParameterTable) -> tuple[Use, ...]:
 
 
 def _spread(found: Identification) -> Array | None:
-    """Draws (d, p) of the error of ψ by the intervals; None where the method has none."""
+    """Draws (d, p) of the error of ψ by the intervals; None where the method has none.
+
+    Errors of gains do not count: forces are predicted, and loads weighed, as the same sensors read them.
+    """
     rng = np.random.default_rng(found.seed)
+    weighted = found.weighted_residuals
+    if weighted.gain and found.posterior is not None:
+        R, r, _ = split(triangle(*weighted.triangles))
+        slope = gaussian_posterior(found.problem, R, r).slope
+        return np.asarray((slope @ rng.standard_normal((slope.shape[1], DRAWS))).T)
     if found.posterior is not None:
         samples = found.posterior.samples
         return np.asarray(samples[rng.choice(len(samples), min(DRAWS, len(samples)), replace=False)] - found.psi)
     if found.intervals is not Intervals.LEAST_SQUARES:
         return None
     basis = list(found.identifiability.basis)
-    R = found.weighted_residuals.R[:, basis]
+    R = weighted.R[:, basis] if not weighted.gain else split(triangle(*weighted.triangles))[0][:, basis]
     scale = np.linalg.norm(R, axis=0)
     drawn = np.zeros((DRAWS, len(found.psi)))
     drawn[:, basis] = np.linalg.solve(np.linalg.qr(R / scale, mode="r"), rng.standard_normal((len(basis), DRAWS))
@@ -144,13 +155,13 @@ def _own_error(found: Identification) -> Array:
 
 def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
     """Single masses, each with its 95 % interval, and those of links with what is pinned to them."""
-    names = found.problem.parameters.names
+    names, scale = found.problem.parameters.names, _scale(found)
     places = found.problem.parameters.places(ParameterKind.MASS)
     for k in sorted(places, key=lambda k: not np.isfinite(found.value[k])):  # those that have a value first
         row = parameters[names[k]]
         never = found.structural.category[k] == NONE
         yield _mass(row.name, row.value, row.ci95, row.information_from_data or 0.0,
-                    "not identified by any motion" if never else "not separable from others by these data", row)
+                    "not identified by any motion" if never else "not separable from others by these data", scale, row)
     prior = found.prior_std
     for total in found.total_masses:
         if len(total.bodies) < 2:
@@ -158,11 +169,17 @@ def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
         before = float(np.linalg.norm(prior[found.problem.parameters.select(f"{one}.m" for one in total.bodies)]))
         share = 1 - (total.std / before) ** 2 if np.isfinite(before) and before else 1.0
         interval = (total.low, total.high) if np.isfinite(total.low) else None
-        yield _mass(f"{total.link} with pinned ends", total.value, interval, share, "not determined by the data")
+        yield _mass(f"{total.link} with pinned ends", total.value, interval, share, "not determined by the data", scale)
+
+
+def _scale(found: Identification) -> str:
+    """What masses rest on, beside the data: the stated gains of force readings."""
+    gain = found.weighted_residuals.gain
+    return f"force readings' gains uncertain by {percentage(gain)} (σ)" if gain else TO_SCALE
 
 
 def _mass(name: str, value: float | None, interval: tuple[float, float] | None, from_data: float, unknown: str,
-          row: ParameterRow | None = None) -> Use:
+          scale: str, row: ParameterRow | None = None) -> Use:
     make = partial(judged, Purpose.MASSES, name)
     if row is not None and row.identifiability == "fixed":
         return Use(Purpose.MASSES, name, Usable.UNTESTED, reason="held at a value")
@@ -171,7 +188,7 @@ def _mass(name: str, value: float | None, interval: tuple[float, float] | None, 
     if interval is None:
         return make(np.nan, "kg", np.nan, untested="the method states no intervals")
     half = (interval[1] - interval[0]) / 2
-    return make(half, "kg", half / abs(value) if value else np.nan, condition=f"95 % intervals, {TO_SCALE}",
+    return make(half, "kg", half / abs(value) if value else np.nan, condition=f"95 % intervals, {scale}",
                 reason=_OF_PRIOR * (from_data < FROM_DATA))
 
 
@@ -294,14 +311,15 @@ def _control(found: Identification, forces: tuple[Use, ...]) -> Iterator[Use]:
                  untested="" if broken or worst.usable is not Usable.UNTESTED else worst.reason)
 
 
-def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[NextStep, ...]:
-    """What would make an identification usable for more, or how to use it."""
+def next_steps(found: Identification, judged_uses: tuple[Use, ...], typed: CommandLine) -> tuple[NextStep, ...]:
+    """What would make an identification that a command gave usable for more, or how to use it."""
     def lacking(purpose: Purpose, usable: Usable) -> list[Use]:
         return [use for use in judged_uses if (use.purpose, use.usable) == (purpose, usable)]
 
     steps: list[NextStep] = []
     if "validation" not in found.fit:
-        steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
+        steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3.",
+                              typed.again("--holdout", "0.3")))
     trained = found.fit["train"]
     steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
               for each in unmeasured_joints(found.problem.model.machine)]
@@ -309,17 +327,20 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*trained}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
     if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in trained]:
-        steps.append(NextStep(Action.CHECK, (
-            f"Check the accuracy of the force of {weak[0]}, and try other friction terms: --friction auto.")))
+        check = f"Check the accuracy of the force of {weak[0]}"
+        steps.append(NextStep(Action.CHECK, f"{check}.") if typed.given("--friction", "--with-geometry") else NextStep(
+            Action.CHECK, f"{check}, and try other friction terms: --friction auto.",
+            typed.again("--friction", "auto")))
     names, machine = found.problem.parameters.names, found.problem.model.machine.source
     possible = {names[k] for k, category in enumerate(found.structural.category) if category == FULL}
     if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:
         wanted = " ".join(f"--focus {name}" for name in focus[:3])
-        steps.append(NextStep(Action.DRIVE, (
-            f"For {focus[0]}, drive what 'hydroopt excite {machine} {wanted} -o motion' designs, and add its log.")))
+        steps.append(NextStep(Action.DRIVE, f"For {focus[0]}, design a motion, drive it, and add its log:",
+                              f"hydroopt excite {machine} {wanted} -o motion"))
     elif not_excited := [name for k, name in enumerate(names) if found.category(k) == "not excited"]:
-        steps.append(NextStep(Action.DRIVE, (
-            f"For {not_excited[0]}, drive what 'hydroopt excite {machine} -o motion' designs, and add its log.")))
+        steps.append(NextStep(Action.DRIVE, f"For {not_excited[0]}, design a motion, drive it, and add its log:",
+                              f"hydroopt excite {machine} -o motion"))
     if not lacking(Purpose.CONTROL, Usable.NO) and not lacking(Purpose.CONTROL, Usable.UNTESTED):
-        steps.append(NextStep(Action.USE, "Write the model as C: 'hydroopt codegen' with this folder."))
+        steps.append(NextStep(Action.USE, "Write the model as C:",
+                              f"hydroopt codegen {typed.path()} -o {typed.path('c')}"))
     return tuple(steps)

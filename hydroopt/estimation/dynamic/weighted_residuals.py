@@ -119,6 +119,7 @@ class WeightedResiduals(Generic[Problem]):
         stated_friction: actuators whose size of dry friction at rest is the machine file's, though its confidences do
             not count otherwise: no sample in motion shows it.
         fit: of motion and parameters together, where requested.
+        gain: standard deviation of the relative error of each force reading that R, r and rest contain.
     """
 
     problem: Problem
@@ -137,6 +138,7 @@ class WeightedResiduals(Generic[Problem]):
     holds: tuple[Array, ...]
     stated_friction: tuple[str, ...] = ()
     fit: fitted_motion.FittedMotion | None = None
+    gain: float = 0.0
 
     def problem_at(self, psi: Array) -> Problem:
         """The problem with the motion, and the numbers beside ψ, that are most probable with parameters ψ (p,), where
@@ -179,6 +181,12 @@ class WeightedResiduals(Generic[Problem]):
         if self.stated_friction:
             notes.append(f"no sample in motion shows the dry friction of {', '.join(self.stated_friction)}: its size "
                          "at rest is taken from the machine file")
+        if self.gain:
+            notes.append(f"each force may be read {100 * self.gain:.2g} % (σ) too large or too small, as the machine "
+                         "file states; intervals contain it")
+        elif self.problem.model.machine.faults.gain:
+            notes.append("intervals do not contain the uncertain gains of force readings that the machine file states, "
+                         "since rows of actuators are mixed")
         if self.problem.fitted_motion:
             notes.append("motion and parameters are fitted together; the fit of the training data is that of the "
                          "fitted motion, validation data keep their smoothed motion")

@@ -116,9 +116,14 @@ class HydraulicEstimate(Answer):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would test or improve it, or how to use it."""
-        return (NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file.")
-                if "validation" in self.fit else
-                NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."),)
+        typed = self.command_line
+        if "validation" not in self.fit:
+            return (NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3.",
+                             typed.again("--holdout", "0.3")),)
+        calibrated = typed.path(f"{self.machine_name}.toml")
+        return (NextStep(Action.USE, "Design a motion with the calibrated machine file, and tune controllers on it:", (
+            f"hydroopt excite {calibrated} -o motion && "
+            f"hydroopt control {calibrated} --motion motion/trajectory.csv -o control")),)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

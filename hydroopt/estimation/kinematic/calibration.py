@@ -137,15 +137,14 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
                     and self.category(use.subject) == FULL]:  # of the others, more poses may tell nothing either
-            steps.append(NextStep(Action.MEASURE, (
-                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses {self.problem.model.machine.source} "
-                f"--focus {weak[0]}' plans.")))
+            steps.append(NextStep(Action.MEASURE, f"For {weak[0]}, plan more poses and measure them:", (
+                f"hydroopt plan-poses {self.problem.model.machine.source} --focus {weak[0]} -o poses")))
         if not self.workspace.moved and self.workspace.exact:
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
                 "the tip, a calibrator or a tracker, in the machine file.")))
         if self._written.text:
-            steps.append(NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
+            steps.append(NextStep(Action.USE, *self.using_machine))
         return tuple(steps)
 
     @property

@@ -125,7 +125,7 @@ class SensorCalibration(Answer):
         weak = [use.subject for use in self.uses if use.usable is Usable.NO]
         more = (NextStep(Action.DRIVE, f"For {weak[0]}, move its joint alone through its range, and rest in postures "
                                        "far apart."),) if weak else ()
-        return (*more, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
+        return (*more, NextStep(Action.USE, *self.using_machine))
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -147,10 +147,12 @@ class CalibratorDesign(PosePlan):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """Build, measure, and calibrate."""
+        typed = self.command_line
         return (NextStep(Action.USE, "Build the calibrator of calibrator.svg and mount it; correct its numbers in "
                                      f"{self.machine.name}.toml by what was built."),
                 NextStep(Action.MEASURE, "Measure the poses of sheet.txt and fill their readings in poses.csv."),
-                NextStep(Action.USE, f"Then 'hydroopt calibrate {self.machine.name}.toml poses.csv -o DIR'."))
+                NextStep(Action.USE, "Then:", f"hydroopt calibrate {typed.path(f'{self.machine.name}.toml')} "
+                                              f"{typed.path('poses.csv')} -o calibration"))
 
     def details(self) -> Mapping[str, Any]:
         """The calibrator, what was tried, and what its own errors cost."""

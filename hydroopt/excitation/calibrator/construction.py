@@ -134,14 +134,16 @@ def carrying(machine: Machine, construction: Construction, values: Mapping[str, 
         links.append({"name": name, "parent": before, "joint": joint | {
             "alpha": twist[k], **{key: values[f"{name}.{key}"] for key in ("theta", "d", "a")}}})
         before = name
-    gone = set(own) - set(keep)
+    gone, fixture = set(own) - set(keep), fixture_of(machine)
+    fixtures = {each.name for each in machine.fixtures} - {fixture}
     data = machine.model_dump(exclude={"notes"})
-    fixture = fixture_of(machine)
     place = tuple(values[f"{fixture}.{axis}"] for axis in "xyz")
     data |= {"calibrator": {"parent": carrier, "links": links}, "fixtures": [{"name": fixture, "position": place}],
+             "distances": [each for each in data["distances"] if not fixtures & {*each["between"]}],
              "sensors": _sensors(data["sensors"], gone, construction), "stages": _without(data["stages"], gone)}
+    lost = {each.name for each in machine.distances} - {each["name"] for each in data["distances"]}
     notes = {path: note for path, note in machine.notes.items()
-             if path.partition(".")[0] not in {*gone, "sensors", "calibrator"}}
+             if path.partition(".")[0] not in {*gone, *lost, "sensors", "calibrator"}}
     notes |= {f"{name}.joint.{key}": Note(sigma=sigma or None, source=DESIGNED)
               for name in (BRACKET, *construction.names)
               for key, sigma in (("theta", workshop.angle_error), ("alpha", workshop.angle_error),

@@ -156,8 +156,8 @@ class Excitation(Answer):
         """Drive it, and identify."""
         return (NextStep(Action.DRIVE, "Go through sheet.html with the operator."),
                 NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
-                NextStep(Action.USE, (
-                    f"Then 'hydroopt identify {self.problem.machine.source} LOG --holdout 0.3 -o DIR'.")))
+                NextStep(Action.USE, "Then, with its log as log.csv:",
+                         f"hydroopt identify {self.problem.machine.source} log.csv --holdout 0.3 -o identified"))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

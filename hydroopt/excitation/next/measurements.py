@@ -49,6 +49,8 @@ class Measurement:
         motions: of the parts, where these are motions.
         geometry_exact: whether they are identified with the geometry known so far.
         use: what to do with what was measured.
+        command: that does it, with ``{machine}`` for the machine and its folder as the last word; empty where it needs
+            numbers that are not known yet.
         file: what to add to the machine file before.
     """
 
@@ -63,6 +65,7 @@ class Measurement:
     motions: tuple[Trajectory, ...] = ()
     geometry_exact: bool = False
     use: str = ""
+    command: str = ""
     file: str = ""
 
     def priced(self, minutes: Mapping[str, float]) -> Measurement:
@@ -89,7 +92,8 @@ def pose_measurements(postures: PostureReadings, readings: Sequence[Reading], la
         rows = postures.rows_of(places, postures.there[places] & (along | own))
         return Measurement(name, text, SET_UP[kind], spent, rows, slice(0, rows.shape[2]), postures.q[places],
                            PoseLabels(*(np.asarray(each)[places] for each in labels)), file=file,
-                           use="'hydroopt calibrate' with all poses")
+                           use="with all poses as poses.csv, calibrate",
+                           command="hydroopt calibrate {machine} poses.csv -o calibrated")
 
     none = np.zeros(len(readings), dtype=bool)
     for fixture in dict.fromkeys(labels.fixture[fixed].tolist()):
@@ -126,14 +130,15 @@ def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[
     rows = np.tile(np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made]), (REPEATS, 1, 1))
     return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,
                        slice(0, rows.shape[2]), np.zeros((len(rows), 0)), motions=tuple(motions) * REPEATS,
-                       geometry_exact=True, use="'hydroopt identify' with the calibrated machine and all logs")
+                       geometry_exact=True, use="with its log as log.csv, identify",
+                       command="hydroopt identify {machine} log.csv -o identified")
 
 
 def levelled_base(f: int) -> Measurement:
     """The base's roll and pitch, the last two of the f numbers of the geometry."""
     rows = np.eye(2)[None] / LEVELLED
     return Measurement("level", "Level the base by a spirit level on it", 0.0, LEVEL, rows, slice(f - 2, f),
-                       np.zeros((1, 0)), use="the orientation of the machine file as it then is")
+                       np.zeros((1, 0)), use="state the orientation that it then has in the machine file")
 
 
 def known_load(goal: LoadGoal) -> Measurement:
@@ -146,7 +151,7 @@ def known_load(goal: LoadGoal) -> Measurement:
     made = np.array(rows)
     return Measurement("known_load", f"Lift a known load of about {LOAD:.0f} kg slowly", FETCH, HOLD, made,
                        slice(0, made.shape[2]), np.zeros((len(made), 0)), geometry_exact=True,
-                       use="'hydroopt weigh --known' with its log")
+                       use="weigh with its log as --known of hydroopt weigh")
 
 
 def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
@@ -159,4 +164,4 @@ def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
         row = np.zeros((1, 1, 1)) + 1 / (SCALE * model.parameters.nominal[place])
         yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row,
                           slice(f + place, f + place + 1), np.zeros((1, 0)),
-                          use=f"'hydroopt identify --prior' with '{name}.m = … +- …'")
+                          use="identify with this mass as --prior of hydroopt identify")

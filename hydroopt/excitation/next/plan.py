@@ -145,9 +145,14 @@ class WhatNext(Answer):
             return (NextStep(Action.USE, f"Use what is known: {self.stopped}."),)
         step = self.steps[0]
         first = (NextStep(Action.USE, f"Add {ADDITION} to the machine file."),) if step.measurement.file else ()
-        return (*first, NextStep(Action.DRIVE if step.measurement.motions else Action.MEASURE,
-                                 f"{self.described(step)}."),
-                NextStep(Action.USE, f"Then {step.measurement.use}, and ask what-next again with its folder."))
+        machine, use, then = self.problem.machine.source, step.measurement.use, step.measurement.command
+        what = (NextStep(Action.DRIVE, f"{self.described(step)}.", f"hydroopt excite {machine} -o motion")
+                if step.measurement.motions else NextStep(Action.MEASURE, f"{self.described(step)}."))
+        if not then or not self.command_line.words:
+            return (*first, what, NextStep(Action.USE, f"Then {use}, and ask what-next again with its folder."))
+        again = self.command_line.again(then.rpartition(" ")[2])
+        return (*first, what, NextStep(Action.USE, f"Then, {use}, and ask again:",
+                                       f"{then.format(machine=machine)} && {again}"))
 
     def described(self, step: Step) -> str:
         """What to do in a step, and how long it takes."""

@@ -81,7 +81,8 @@ class MeasureUpPlan(PosePlan):
         """Measure, and calibrate."""
         return (NextStep(Action.MEASURE, f"Take the readings of sheet.txt (about {self.minutes:.0f} min) and fill "
                                          "poses.csv; leave all other cells empty."),
-                NextStep(Action.USE, f"Then 'hydroopt calibrate {self.machine.source} poses.csv -o DIR'."))
+                NextStep(Action.USE, "Then:", f"hydroopt calibrate {self.machine.source} "
+                                              f"{self.command_line.path('poses.csv')} -o calibration"))
 
     def details(self) -> Mapping[str, Any]:
         """What was chosen, and how well the tip will be known."""

@@ -113,7 +113,8 @@ class PosePlan(Answer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """Measure, and calibrate."""
         return (NextStep(Action.MEASURE, "Measure the poses of sheet.txt and fill their readings in poses.csv."),
-                NextStep(Action.USE, f"Then 'hydroopt calibrate {self.machine.source} poses.csv -o DIR'."))
+                NextStep(Action.USE, "Then:", f"hydroopt calibrate {self.machine.source} "
+                                              f"{self.command_line.path('poses.csv')} -o calibration"))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
