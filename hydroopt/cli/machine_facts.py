@@ -56,7 +56,7 @@ def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[st
 
 
 def _imu_facts(machine: Machine, motion: Trajectory | None) -> dict[str, Any]:
-    """What a motion tells of where units sit, of their biases and of the joints' positions: standard deviations."""
+    """How well a motion determines where units sit, their biases and the joints' positions: standard deviations."""
     found = expected_calibration(machine, motion)
     numbers = [{"name": each.name.replace(f"{NAME}: ", "bias of "), "unit": each.unit, "stated_std": each.prior_std,
                 "expected_std": each.std, "determined": DETERMINED[each.identifiability]}

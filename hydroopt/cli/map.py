@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -34,7 +35,7 @@ def map(
     from hydroopt.logs.map_proposal import propose_map
     from hydroopt.machine.machine_file import load_machine
 
-    if to is not None and to.exists():
+    if to is not None and os.path.exists(to):
         raise ProblemError("there is such a file already", where=str(to), remedy="name another one, or remove it")
     found = propose_map(log, load_machine(machine))
     if to is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,7 +34,7 @@ def new(
     """
     if file.suffix != ".toml":
         raise ProblemError("a machine file ends in .toml", where=str(file), remedy=f"write {file.stem}.toml")
-    if file.exists():
+    if os.path.exists(file):
         raise ProblemError("there is such a file already", where=str(file), remedy="name another one, or remove it")
     Dialogue(file, kind, answers).run()
 

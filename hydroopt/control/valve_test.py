@@ -17,7 +17,7 @@ from hydroopt.simulation.drive_valves import drive
 from hydroopt.spatial.inertia import Array
 
 OPENINGS = (1.0, 0.5, 0.25, 0.75, 0.12, 1.0)
-"""Commands of successive pairs of steps, one each way, as parts of a full one: full ones tell of the edges, small ones
+"""Commands of successive pairs of steps, one each way, as parts of a full one: full ones show the edges, small ones
 of the dead band."""
 LONGEST, SHORTEST = 1.3, 0.5
 """Time [s] for which a command of nearly nothing and a full one are held."""

@@ -79,7 +79,7 @@ def dated_as(values: NDArray[Any], unit: str) -> bool:
     (True, False)
     """
     seconds = np.abs(values.astype(float)) * factor(unit, "s")
-    seconds = seconds[np.isfinite(seconds)]
+    seconds = np.minimum(seconds[np.isfinite(seconds)], 2 * YEARS_2001_TO_2040[1])  # whose sum is finite, too
     return bool(seconds.size and YEARS_2001_TO_2040[0] <= np.median(seconds) <= YEARS_2001_TO_2040[1])
 
 

@@ -126,7 +126,7 @@ def measured_channels(model: KinematicModel) -> tuple[str, ...]:
     """
     tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
     joints = [f"{model.joints[k]}.q" for k in read_joints(model)]
-    # with a calibrator, a length tells of the joints that it depends on, if the poses know them otherwise
+    # with a calibrator, a length determines the joints that it depends on, if the poses know them otherwise
     known = {*(link.name for link in model.machine.chain), *(joint.removesuffix(".q") for joint in joints)}
     lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders
                if model.machine.calibrator is None or known.issuperset(model.machine.moved_by(cylinder))]

@@ -124,7 +124,7 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
 
 
 def _tared(equations: Equations, known: Gaussian, count: int, at: Array) -> Weighed:
-    """What the first samples tell of the scale, linearised where they led: slope times bodies is no small product."""
+    """What the first samples say about the scale, linearised where they led: slope times bodies is no small product."""
     sought = Recursion(equations, known)
     for i in range(count):
         sought.own = at

@@ -116,7 +116,7 @@ def expected(load: CarriedLoad, mass: float) -> Array:
 
 
 class Recursion:
-    """What the samples of a log tell of one load, sample by sample.
+    """What the samples of a log say about one load, sample by sample.
 
     Attributes:
         rows: number of equations of moving joints that were taken.

@@ -81,7 +81,7 @@ class ForceReadings:
 
     Attributes:
         taken: (p, r) what each force's readings contribute to the calibrated parameters.
-        too_large: (r,) what calibration and known loads tell of the part of each force that is read too much.
+        too_large: (r,) what calibration and known loads say about the part of each force that is read too much.
         std: of that part before the calibration.
     """
 

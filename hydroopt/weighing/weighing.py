@@ -347,7 +347,7 @@ def weigh(scale: Scale, logs: Log | Sequence[Log], *, tare: float = 10.0, needed
 def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
     """The scale after a log with a load of known mass [kg], with its standard deviation: its calibration.
 
-    What the log tells of bodies, friction and the scale of force readings stays; what it tells of its slope and its
+    What the log says about bodies, friction and the scale of force readings stays; what it says about its slope and its
     pressures' zeros does not.
 
     Raises:

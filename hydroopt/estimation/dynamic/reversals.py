@@ -2,7 +2,7 @@
 
 Samples about a reversal do not take part in an identification, since the sign of their friction is not known. Yet
 friction turns with the velocity, and a step of friction that noise alone blurs shows when to a sample or two. Friction
-that turns first tells of positions that are read late. Friction that turns later tells nothing: before seals slip they
+that turns first shows that positions are read late. Friction that turns later shows nothing: before seals slip they
 give, so that the friction of sound real machines turns up to 45 ms late (`studies/panda_gaz2019`).
 """
 

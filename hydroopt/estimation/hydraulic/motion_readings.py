@@ -1,4 +1,4 @@
-"""What a log tells of the actuators' motion: lengths and angles, and how far they err."""
+"""What a log says about the actuators' motion: lengths and angles, and how far they err."""
 
 from __future__ import annotations
 

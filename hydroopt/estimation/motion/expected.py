@@ -1,4 +1,4 @@
-"""What a motion will tell of IMUs and joints' positions before it is driven: standard deviations depend on it alone."""
+"""How well a motion will determine IMUs and joints' positions, before it is driven: standard deviations depend on it alone."""
 
 from __future__ import annotations
 

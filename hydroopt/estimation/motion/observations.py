@@ -144,7 +144,7 @@ def motion_channels(machine: Machine, channels: Collection[str]) -> tuple[str, .
 
 
 def observations(machine: Machine, group: ChannelGroup, clock: Clock, where: str) -> Observations:
-    """What a group of channels with its clock tells of the motion.
+    """What a group of channels with its clock says about the motion.
 
     Raises:
         LogError: a channel measures another kind of quantity than the machine's part has.
@@ -155,7 +155,7 @@ def observations(machine: Machine, group: ChannelGroup, clock: Clock, where: str
 
 
 def row_observations(machine: Machine, table: Poses) -> Observations:
-    """What the rows of a table of poses tell of their postures; times count the rows."""
+    """What the rows of a table of poses say about their postures; times count the rows."""
     return _of(machine, table.name, np.arange(float(len(table.row))), table.channels, table.units)
 
 

@@ -136,7 +136,7 @@ def fit_motion(problem: SensorProblem, readings: Readings | None = None, enough:
 
 
 def _observed(machine: Machine, recording: Recording) -> list[Observations]:
-    """What the groups of a recording tell of the motion.
+    """What the groups of a recording say about the motion.
 
     Raises:
         LogError: none of them does.

@@ -40,7 +40,7 @@ class ExpectedAccuracy:
         before: (p,) of all parameters by the machine file's confidences and the logs already measured.
         after: (p,) of all parameters by these and the motion.
         sigma: (n,) of the residuals of the actuators' forces [N, N·m].
-        rows: (k, p) what the motion alone tells of ψ: sums of parameters that it measures with errors that are
+        rows: (k, p) what the motion alone says about ψ: sums of parameters that it measures with errors that are
             independent and of variance 1.
         by_force: (k, N, n) by how much errors of the N samples' forces [1/N, 1/(N·m)] put these off.
     """

@@ -42,7 +42,7 @@ class Measurement:
         text: what to do.
         set_up: minutes before the first part; 0 once something is set up.
         minutes: of each part.
-        rows: (K, u, w) what each of K parts tells of w of all numbers, with errors independent and of variance 1.
+        rows: (K, u, w) what each of K parts says about w of all numbers, with errors independent and of variance 1.
         own: which numbers these are.
         q: (K, n) postures [rad, m] of the parts, NaN for joints that are not there; (K, 0) where they have none.
         labels: what these postures belong to.
@@ -112,7 +112,7 @@ def pose_measurements(postures: PostureReadings, readings: Sequence[Reading], la
 
 
 def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[Trajectory]) -> Measurement:
-    """Motions to drive while forces are logged, each of which tells of ψ and, where the geometry is off, of both.
+    """Motions to drive while forces are logged, each of which determines ψ and, where the geometry is off, both.
 
     Args:
         model: the machine.
@@ -143,7 +143,7 @@ def levelled_base(f: int) -> Measurement:
 
 def known_load(goal: LoadGoal) -> Measurement:
     """A known load weighed in each posture in which loads will be weighed, as `hydroopt weigh --known` uses it: forces
-    tell of ψ, and what is off in the geometry falsifies that."""
+    say something about ψ, and errors of the geometry disturb that."""
     rows = []
     for by_numbers, effect in zip(goal.by_numbers, goal.effect, strict=True):
         noise = np.diag(goal.noise) + np.outer(effect, effect) * (LOADED * LOAD) ** 2

@@ -1,4 +1,4 @@
-"""What readings in candidate postures tell of a geometry, as whitened rows, and how well the tip is then known."""
+"""What readings in candidate postures say about a geometry, as whitened rows, and how well the tip is then known."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WORKSPACE = 500
 
 
 class PostureReadings:
-    """R kinds of readings in N candidate postures, and what they tell of the f free parameters of a calibration.
+    """R kinds of readings in N candidate postures, and what they say about the f free parameters of a calibration.
 
     Attributes:
         calibration: the problem of all readings in all postures.
