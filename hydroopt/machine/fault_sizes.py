@@ -27,7 +27,7 @@ class FaultSizes(Noun):
     play: Angle | None = Field(None, gt=0)
     """Play of a joint against its sensor."""
     gain: Number | None = Field(None, gt=0)
-    """Error of a force reading's gain, as a part of it; where it is stated, intervals of `identify` and `weigh` contain it."""
+    """Error of a force reading's gain, as a part of it; intervals of `identify` and `weigh` contain it if stated."""
     drift: Number | None = Field(None, gt=0)
     """Drift of a force reading over a log, as a part of the RMS force."""
     friction: Number | None = Field(None, gt=0)

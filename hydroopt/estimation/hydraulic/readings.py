@@ -1,4 +1,4 @@
-"""What sensors say about one actuator between two gaps of a log: motion, pressures, supply, and how far each may err."""
+"""Readings of one actuator between two gaps of a log: motion, pressures, supply, and how far each may err."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well a motion will determine IMUs and joints' positions, before it is driven: standard deviations depend on it alone."""
+"""How well a motion will determine IMUs and joints' positions: standard deviations depend on the motion alone."""
 
 from __future__ import annotations
 
