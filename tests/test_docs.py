@@ -65,6 +65,7 @@ def examples() -> str:
 
 
 INNER = {
+    "Answer": {"typed"},
     "ExcitationProblem": {"coefficients", "hung", "objective", "constraints", "slopes", "jacobian",
                           "directional_derivative", "weighted_gradient", "excess", "bounds"},
     "HydraulicProblem": {"stretches_of"},

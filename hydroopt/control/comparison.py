@@ -138,7 +138,7 @@ class Comparison(Answer):
         small = any(best.name in each.subject for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS))
         steps = []
         if small and any(each.lost > 0 for each in self.lost_margins):
-            steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them; plan their test:",
+            steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them:",
                                   f"hydroopt plan-valve-test {machine} -o valve_test"))
         if small and self.setting.sensitivity > ROBUST:
             steps.append(NextStep(Action.CHECK, f"Loops are slower and more robust with --sensitivity {ROBUST:g}.",
