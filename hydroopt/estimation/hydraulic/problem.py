@@ -57,7 +57,7 @@ class Stretch:
 class HydraulicProblem(Shown):
     """The identification of valves and oil from logs; solving does not change it.
 
-    Volume balances of each chamber determine them: what flows in moves the piston or compresses oil. Motion and pressure
+    Volume balances of each chamber determine them: inflow moves the piston or compresses oil. Motion and pressures
     are read, so that neither masses nor friction have a part in it; these are identified from forces (`identify`).
 
     It is a nonlinear program: `print` shows its variables, objective and constraints, `nlp` hands it on.
