@@ -125,6 +125,7 @@ class ScaleTables:
         """Arrays of the smoothing, and the joint that each measured force is about."""
         taus, shares = zip(*self.kernel.nodes, strict=True)
         return {"joint_of": np.array(self.scale.model.dynamics.kept, dtype=np.int64),
+                "weighs": np.isfinite(self.scale.force_std).astype(np.int64),
                 "weights": self.kernel.weights, "node_share": np.array(shares),
                 "kernel_covariance": self.kernel.covariance.reshape(self.lags + 1, 16),
                 "at_node": np.stack([self.kernel.at_node(tau) for tau in taus])}
@@ -135,7 +136,8 @@ class ScaleTables:
         scale, load = self.scale, self.scale.load
         own = scale.own.without(slice(self.numbers, scale.count))
         return {"psi": scale.psi, "columns": np.hstack([scale.directions, -scale.taken, scale.carried]),
-                "root": own.root, "right": own.right, "angle_std": scale.angle_std, "force_std": scale.force_std,
+                "root": own.root, "right": own.right, "angle_std": scale.angle_std,
+                "force_std": np.where(np.isfinite(scale.force_std), scale.force_std, 0.0),
                 "read": scale.read,
                 "gravity": np.array(np.linalg.norm(scale.gravity)), "axes": scale.axes,
                 "centre": np.array(load.centre), "centre_std": np.array(load.centre_std),

@@ -17,6 +17,7 @@ from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Motor
+from hydroopt.machine.balances import undriven
 from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.kinematics import gravity_in_base
@@ -77,6 +78,7 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
     angle_std = np.array([sensor.std if (sensor := machine.sensor(f"{joint}.q")) else np.nan
                           for joint in machine.joints])
     force_std = force_noise(model)
+    force_std[list(undriven(machine.balances))] = np.inf
     if not np.all(np.isfinite(angle_std)) or not np.all(force_std > 0):
         raise ProblemError("a scale needs the accuracy of all sensors", where=machine.name,
                            remedy="state [[sensors]] with 'accuracy' for angles and pressures")
@@ -105,29 +107,43 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
     made = Scale(model, found.offset, directions, taken, load, own, uncertain, angle_std, force_std,
                  (*machine.orientation[:2], uncertain.slope), gain or 0.0, readings,
                  axes[p : p + drifts.shape[1]].T, np.zeros(r))
-    return made if logs is None else replace(made, force_std=_noise([equations(made, each) for each in logs]))
+    if logs is None:
+        return made
+    return replace(made, force_std=_noise([equations(made, each) for each in logs], axes[:p]))
 
 
-def _noise(lines: Sequence[Equations]) -> Array:
+def _noise(lines: Sequence[Equations], calibrated: Array) -> Array:
     """(r,) noise of the forces as a calibration without load shows it, at least that of the sensors.
 
     Smoothing passes slow errors only. How strong they are there follows from the residuals' products, as far apart as
-    smoothing makes them depend on each other: those of white noise of the same strength would be as large.
+    smoothing makes them depend on each other: those of white noise of the same strength would be as large. The
+    calibration has explained a part of the errors: the covariance of its residuals is that of the errors less that of
+    the forces which it predicts. A variance from few samples is uncertain: its mean is taken, as that of a spectrum
+    at the frequency zero by as many products (Priestley 1981).
+
+    Args:
+        lines: equations of the calibration's logs.
+        calibrated: (·, k) of the calibration's uncertain numbers, independent and standard normal, in the k directions
+            of the scale.
     """
     std = lines[0].scale.force_std
     seen, white, count = np.zeros(len(std)), np.zeros(len(std)), np.zeros(len(std))
     for each in lines:
         known, by = each.smoothed.kernel.covariance, each.by_motion[..., 0]
+        explained = each.K[:, :, 1 : 1 + calibrated.shape[1]] @ calibrated.T
         for lag in range(min(len(known), len(each.t))):
             end, twice = len(each.t) - lag, 1 + (lag > 0)
             both = each.moving[:end] & each.moving[lag:]
             both &= (each.smoothed.stretch[:end] == each.smoothed.stretch[lag:])[:, None]
             angles = np.einsum("mran,ab,mrbn->mr", by[:end], known[lag], by[lag:])
-            seen += twice * np.sum(np.where(both, each.rest[:end] * each.rest[lag:] - angles, 0.0), axis=0)
+            errors = each.rest[:end] * each.rest[lag:] + np.sum(explained[:end] * explained[lag:], axis=2)
+            seen += twice * np.sum(np.where(both, errors - angles, 0.0), axis=0)
             white += twice * known[lag, 0, 0] * both.sum(axis=0)
         count += each.moving.sum(axis=0)
     enough = (count >= FEWEST) & (white > 0)
-    return np.where(enough, np.sqrt(np.maximum(std**2, seen / np.where(enough, white, 1.0))), std)
+    freedom = np.maximum(count, FEWEST) / (len(lines[0].smoothed.kernel.covariance) - 1)
+    mean = seen / np.where(enough, white, 1.0) * freedom / (freedom - 2)
+    return np.where(enough, np.sqrt(np.maximum(std**2, mean)), std)
 
 
 def _drifts(model: Model, std: float) -> Array:

@@ -30,8 +30,8 @@ NEGATIVE = 4.0
 """Number of standard deviations below zero from which a mass is impossible."""
 LASTS = 8
 """Number of samples that a change may last."""
-GOES_ON = 12.0
-"""Likelihood ratio from which a change goes on."""
+GOES_ON = 10.0
+"""Likelihood ratio from which a change goes on, or may have begun, so that no mass is shown."""
 NOTICED = 0.02
 """Change of the mass, as a part of the full scale, below which it is none."""
 EMPTY = 0.005
@@ -120,6 +120,8 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
             status = Weighable.CONTRADICTED
         elif resting >= RESTING:
             status = Weighable.STANDSTILL
+        elif status is Weighable.OK and change.ratio > GOES_ON:
+            status = Weighable.CHANGING
         yield Reading(i, found, number, status, noticeable)
 
 

@@ -21,8 +21,8 @@ from hydroopt.weighing.equations import Equations
 from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.scale import CarriedLoad
 
-RECENT = 10
-"""Number of samples since which a change is sought."""
+RECENT = 20
+"""Number of samples since which a change is sought: a small one shows late where forces are read badly."""
 WIDEST = 2.0
 """Standard deviation of the mass before weighing, as a part of the full scale."""
 SMALLEST = 0.02
@@ -186,7 +186,7 @@ class Recursion:
         V = np.stack([np.einsum("xan,ab,ybn->xy", each, known[last - k], by)
                       + np.diag(known[last - k, 0, 0] * lines.scale.force_std**2)
                       for k, each in enumerate(self._by)]).reshape(-1, r)
-        V *= self._used[:, None] & used
+        V = np.where(self._used[:, None] & used, V, 0.0)
         across = np.linalg.solve(self._factor, V[:-r])
         own = V[-r:] - across.T @ across
         own[~used, ~used] = 1.0

@@ -108,7 +108,8 @@ class Scale:
         load: what it weighs.
         own: what is known of its own unknowns.
         uncertain: what no calibration tells.
-        angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces, as if it were white.
+        angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces, as if it were white; inf of
+            passive joints, whose balances do not weigh.
         tilt: roll and pitch of the base as stated, and their standard deviation [rad].
         gain: standard deviation of the relative error that all masses have in common.
         read: (r,) part of each force's readings that is taken off, as known loads tell it.

@@ -12,6 +12,7 @@ from hydroopt.errors import LogError
 from hydroopt.logs.forces_from_pressures import forces
 from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
+from hydroopt.machine.balances import undriven
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
@@ -34,7 +35,7 @@ class SmoothedLog:
         q, qd, qdd, jerk: (M, n) motion.
         force: (M, r) measured forces.
         sign: (M, r) 1 or −1 where the actuator of a balance moves in one direction throughout, 0 elsewhere, where
-            nothing is known of dry friction; see `actuator_speeds`.
+            nothing is known of dry friction, and of passive joints; see `actuator_speeds`.
         kernel: of the smoothing.
     """
 
@@ -109,4 +110,6 @@ def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp]
     speeds = np.stack([actuator_speeds(model, posture, kernel.smoothed(q, places)[1])
                        for places in (at - reach, at, at + reach)])
     slowest, fastest = (end(speeds, axis=0) for end in (np.min, np.max))
-    return np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, 0.0))
+    sign = np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, 0.0))
+    sign[:, list(undriven(model.machine.balances))] = 0.0
+    return sign

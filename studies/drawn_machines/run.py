@@ -281,9 +281,9 @@ def learned(case: Case) -> float:
 
 
 def beside_lqg(case: Case, psi: Array, theta: Array) -> float:
-    """RMS distance of the tip with LQG by that with the feedforward, both identified."""
+    """RMS distance of the tip with LQG by that with the feedforward, both identified and with the gains of today."""
     variant = ModelVariant(COMPLETE, "identified", case.known.model, psi)
-    done = compare(case.setting(theta, sensitivity=1.3), [variant], [FEEDFORWARD, LQG])
+    done = compare(case.setting(theta), [variant], [FEEDFORWARD, LQG])
     found = {each.kind: each.tip_rms for each in done.outcomes if each.variant.name == COMPLETE}
     return found[LQG] / found[FEEDFORWARD]
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import lfilter
 
 from hydroopt import Log, Model, random_trajectory, random_truth
 from hydroopt.logs import sensors
+from hydroopt.machine.balances import undriven
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import BACK_PRESSURE, Trajectory, forces
 from hydroopt.spatial.inertia import Array, from_centre_of_mass
 
@@ -35,7 +38,10 @@ class Carrier:
 CAT = Carrier("cat215b", "stick", (1.8, 0.0, 0.0), 2500.0)
 OTHERS = (Carrier("excavator_bucket", "bucket", (0.85, 0.4, 0.0), 2500.0),
           Carrier("wheel_loader", "bucket", (0.42, 0.28, 0.0), 1500.0),
-          Carrier("backhoe", "bucket", (0.5, 0.2, 0.0), 600.0))
+          Carrier("backhoe", "bucket", (0.5, 0.2, 0.0), 600.0),
+          Carrier("forestry_crane", "rotator", (0.0, 0.0, 0.8), 600.0))
+STEPS = 10
+"""Number of steps in which the mass at passive joints grows while a load leaves the ground."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +116,29 @@ class SimulatedMachine:
         motion = random_trajectory(self.model, duration=CALIBRATION, rate=RATE, seed=seed)
         return self.log(Session(motion, np.zeros(len(motion.t)), np.zeros(3), noise=noise), seed, "calibration")
 
+    def swinging(self, session: Session, load: Array) -> Trajectory:
+        """The motion in which passive joints follow the others, with what a load adds to ψ (p,) per mass."""
+        motion, mass = session.motion, session.mass
+        if not undriven(self.model.machine.balances):
+            return motion
+        step = np.round(STEPS * mass / max(np.max(mass), 1e-300))
+        edges = [0, *(np.flatnonzero(np.diff(step)) + 1).tolist(), len(mass) - 1]
+        made = [np.array(each) for each in (motion.q, motion.qd, motion.qdd)]
+        for first, last in pairwise(edges):
+            if first < last:
+                here, psi = slice(first, last + 1), self.psi + mass[first:last].mean() * load
+                for whole, part in zip(made, passive_motion(self.model, motion.t[here], (
+                        made[0][here], made[1][here], made[2][here]), psi), strict=True):
+                    whole[here] = part
+        return replace(motion, q=made[0], qd=made[1], qdd=made[2])
+
     def log(self, session: Session, seed: int, name: str = "weighing") -> Log:
         """What the sensors record of a session."""
-        model, machine, motion = self.model, self.model.machine, session.motion
+        model, machine = self.model, self.model.machine
         rng = np.random.default_rng([seed, 2])
         body = from_centre_of_mass(1.0, session.centre, [0.05, 0, 0, 0.05, 0, 0.05])
         load = carried_load(model, self.carrier.link, self.carrier.centre) @ body
+        motion = self.swinging(session, load)
         places = [machine.actuators.index(each) for each in machine.measured_actuators]
         force = forces(model, motion, self.psi)
         if session.mass.any():

@@ -289,7 +289,7 @@ static {{ p }}_status_t state_equations(const {{ p }}_constants_t *constants, co
         const real read = force[a] * ({{ 1 | number }} - params->read[a]);
         const real rubbing = fabs{{ f }}(read) * sign[a];
         real right = read - (rubbing * scale->own[(size_t)MODEL + a]);
-        made->used[a] = (fabs{{ f }}(sign[a]) > none) ? 1U : 0U;
+        made->used[a] = ((weighs[a] != 0U) && (fabs{{ f }}(sign[a]) > none)) ? 1U : 0U;
         for (size_t i = 0U; i < (size_t)PSI; i++) {
             right -= K[a][i] * total[i];
             for (size_t j = 0U; j < (size_t)NUMBERS; j++) {
@@ -601,7 +601,10 @@ static {{ p }}_weighable_t judged(const {{ p }}_scale_params_t *params, const {{
         || (shown->mass > (OVERLOAD * params->full_scale))) {
         return {{ P }}_SCALE_IMPOSSIBLE;
     }
-    return ((NORMAL * shown->mass_std) <= params->needed) ? {{ P }}_SCALE_WEIGHABLE : {{ P }}_SCALE_UNCERTAIN;
+    if (!((NORMAL * shown->mass_std) <= params->needed)) {
+        return {{ P }}_SCALE_UNCERTAIN;
+    }
+    return (scale->change_ratio <= GOES_ON) ? {{ P }}_SCALE_WEIGHABLE : {{ P }}_SCALE_CHANGING;
 }
 
 /* One smoothed sample further in the tare. What it tells is taken twice, the second time linearised where the first time led:
