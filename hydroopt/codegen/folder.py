@@ -48,8 +48,8 @@ LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure
 LARGE = 1500
 """Number of statements from which each routine gets its own file."""
 VAST = 8_000
-"""Number of statements from which `make` compiles a routine with -O1: the time that compilers take for registers grows
-with the square of it."""
+"""Number of statements from which `make` compiles a routine with -O1: the time that compilers take to assign registers
+grows much faster than it."""
 STATUSES = {
     "OK": "the result is there",
     "OUT_OF_STROKE": "a cylinder is shorter or longer than it can be; do not use the result, which extrapolates",

@@ -20,7 +20,7 @@ STEEP = 0.1 / RAMP
 
 
 @pytest.fixture(scope="module", params=tiered(
-    ["cat215b", "patu655_lift", "backhoe", "forestry_crane", "unmeasured", "sloping"],
+    ["cat215b", "patu655_lift", "backhoe", "forestry_crane", "stewart_platform", "unmeasured", "sloping"],
     lambda name: name in ("patu655_lift", "backhoe")))
 def plant(request: pytest.FixtureRequest) -> Plant:
     return Plant(Model(machine(request.param)))
@@ -30,9 +30,11 @@ def states(plant: Plant) -> dict[str, np.ndarray]:
     rng, joints, valves = np.random.default_rng(3), len(plant.machine.joints), (COUNT, len(plant.actuators))
     lower, upper = np.array([plant.machine.link(joint).joint.range for joint in plant.machine.joints]).T
     q = held(lower + (upper - lower) * rng.uniform(0.05, 0.95, (COUNT, joints)))
+    relief = [each.actuator.relief_pressure for each in plant.actuators if each.actuator.relief_pressure]
+    high = min([2e7, *(0.95 * each for each in relief)])
     some = {"q": q, "qd": rng.uniform(-0.15, 0.15, q.shape), "qdd": rng.uniform(-0.3, 0.3, q.shape),
             "speed_added": rng.uniform(-0.02, 0.02, valves), "force_rate": rng.uniform(-5e4, 5e4, valves),
-            "pressure_a": rng.uniform(3e6, 2e7, valves), "pressure_b": rng.uniform(3e6, 2e7, valves),
+            "pressure_a": rng.uniform(3e6, high, valves), "pressure_b": rng.uniform(3e6, high, valves),
             "supply": np.tile([2.5e7, 3e5], (COUNT, 1)), "factor_extending": np.ones(valves),
             "factor_retracting": np.ones(valves)}
     return {name: held(values) for name, values in some.items()}

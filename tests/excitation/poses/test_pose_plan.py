@@ -353,3 +353,16 @@ def test_lengths_of_cylinders_behind_the_calibrator_are_left_out():
         assert {"boom_cylinder.length", "stick_cylinder.length"} <= set(plan.channels)
         assert ("bucket_cylinder.length" in plan.channels) == ("bucket.q" in plan.channels) == there
         assert len(plan.parameters)
+
+
+def test_the_sheet_says_where_a_joint_stands_that_a_linkage_moves():
+    """A sensor reads the basket's angle; the dynamic model computes it by its own closed form."""
+    machine = load_machine("level_keeping_lift")
+    plan = plan_poses(machine, 6, candidates=20, priors=True)
+    head, *rows = [line.split("  ") for line in plan.sheet().splitlines()[-7:]]
+    printed = [float(row[-1]) for row in rows]
+    model = hydroopt.Model(machine)
+    expected = model.over(model.dependent_positions, plan.q)[0][:, machine.dependent_joints.index("basket"), 0]
+    assert head[-1] == "basket [deg]"
+    assert np.ptp(printed) > 10
+    np.testing.assert_allclose(printed, np.degrees(expected), atol=0.0501)
