@@ -132,8 +132,8 @@ class Comparison(Answer):
         best = self.winner
         if self.uses[0].usable is Usable.YES:
             return () if self.feedforward is None else (NextStep(
-                Action.USE, f"Build and test the feedforward in C, and begin at a tenth of the speed: "
-                            f"make -C {self.command_line.path('c')} check"),)
+                Action.USE, "Build and test the feedforward in C, and begin at a tenth of the speed:",
+                f"make -C {self.command_line.path('c')} check"),)
         machine = self.setting.plant.machine.source
         small = any(best.name in each.subject for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS))
         steps = []

@@ -28,6 +28,8 @@ from hydroopt.template_cache import TemplateCache
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
 """What a sentence shows as code: text between backticks, quoted commands, options."""
+OPTION = re.compile(r"((?<!\S)--?[a-z]\S*(?: (?:'[^']*'|[^-&\s]\S*))?)")
+"""An option of a command, and its value."""
 SCRIPTS = ("core", "kinematics", "scene", "charts", "tables", "start")
 """The page's own scripts, in order."""
 
@@ -55,6 +57,7 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.FunctionLoader(lambda part: _text("templates", part)),
         bytecode_cache=TemplateCache(__file__, errors.__file__, numbers.__file__))
     environment.filters["prose"] = prose
+    environment.filters["words"] = words
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
     return environment
 
@@ -97,7 +100,14 @@ def prose(text: str) -> Markup:
 
 def _code(text: str) -> Markup:
     """A command, which may be broken at its spaces, or an option, which stays on one line."""
-    return Markup("<code{}>{}</code>").format(Markup(' class="nowrap"') if " " not in text else "", text)
+    return Markup("<code>{}</code>" if " " in text else '<code class="nowrap">{}</code>').format(
+        words(text) if " " in text else text)
+
+
+def words(command: str) -> Markup:
+    """A command that browsers break at its spaces, but neither within an option nor before the option's value."""
+    return Markup("").join(Markup('<span class="word">{}</span>').format(part) if k % 2 else part
+                           for k, part in enumerate(OPTION.split(command)))
 
 
 def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:

@@ -39,7 +39,7 @@ def render(weighing: Weighing) -> str:
     chart = TimeChart("mass [kg]", lines,
                       span=(float(shown.min() - margin), float(shown.max() + margin)),
                       shaded=(("predicted", "low", "high"),))
-    misfit = TimeChart("residuals over the expected ones", (Line("misfit", "misfit"),), limits=(1.0,))
+    misfit = TimeChart("residuals / expected residuals", (Line("misfit", "misfit"),), limits=(1.0,))
     return document(
         "weighing.html", samples=samples, charts={"course": [chart, misfit]}, verdict=weighing.verdict,
         scene=SceneView(model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)), machine=machine,

@@ -79,7 +79,7 @@ SESSION_WORDS: dict[Kind, Words] = {
         "the machine was empty during the tare, the tool, and the calibration."),
     Kind.FORCE_SCALE_ASSUMED: Words(
         "Force readings are assumed to be right in scale: a common relative error of all of them, as of piston areas "
-        "or sensors' scales, is that of the mass.",
+        "or sensors' scales, becomes that of the mass.",
         "State with --gain-error how large their relative errors may be. In weigh, one known load determines them "
         "(--known)."),
     Kind.FORCE_SCALE_WRONG: Words(

@@ -284,7 +284,7 @@ WORDS: dict[Kind, Words] = {
     Kind.MARGINS_BY_VALVES: Words(
         "Numbers of valves and oil are so uncertain that the disk margin of {loop} with {subject} may be {low:.2f} "
         "instead of {disk:.2f} ({point}), most of all by {parameter}.",
-        "Identify them: hydroopt plan-valve-test."),
+        "Identify them: `hydroopt plan-valve-test`."),
     Kind.RUN_STOPPED: Words("With {subject} {reason}."),
     Kind.BEST_RUN_STOPPED: Words(
         "Even the best controller, {subject}, ends before the motion does.",

@@ -159,6 +159,9 @@ def _works(page: Any, data: dict[str, Any]) -> None:
         page.locator("[data-joints] input").first.focus()
         page.keyboard.press("ArrowRight")
         assert page.evaluate("hydroopt.view.joints[0]") != before
+    for command in page.locator("code.command").all():
+        command.click()
+        assert page.evaluate("getSelection().toString()") == command.text_content(), "a click takes the whole command"
     for heading in page.locator("button.sort:visible").all()[:1]:
         heading.click()
         assert page.locator("th[aria-sort=ascending]").count() == 1

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
-from hydroopt.report.page import prose
+from hydroopt.report.page import prose, words
 from hydroopt.report.panels import printed
 from hydroopt.results.parameter_table import row
 
@@ -42,10 +42,14 @@ def test_units() -> None:
 
 def test_sentences_show_commands_as_code_and_keep_units_on_the_line_of_their_number() -> None:
     text = str(prose("Run 'hydroopt excite crane.toml -o <dir>' for 12 s (3 %), `--loss huber` or --treat nan=drop."))
-    assert ("<code>hydroopt excite crane.toml -o &lt;dir&gt;</code> for 12"
+    assert ('<code>hydroopt excite crane.toml <span class="word">-o &lt;dir&gt;</span></code> for 12'
             "\N{NO-BREAK SPACE}s (3\N{NO-BREAK SPACE}%)") in text
-    assert "<code>--loss huber</code> or <code>--treat nan=drop</code>." in text
+    assert ('<code><span class="word">--loss huber</span></code> or '
+            '<code><span class="word">--treat nan=drop</span></code>.') in text
     assert str(prose("a state-of-the-art <b> 'name'")) == "a state-of-the-art &lt;b&gt; &#39;name&#39;"
+    assert str(words("hydroopt a-b x.csv -o out --quiet --tip-std '25 mm' && ls -a")) == (
+        'hydroopt a-b x.csv <span class="word">-o out</span> <span class="word">--quiet</span> '
+        '<span class="word">--tip-std &#39;25 mm&#39;</span> &amp;&amp; ls <span class="word">-a</span>')
 
 
 def test_parameters_are_printed_in_units_that_people_read() -> None:

@@ -125,7 +125,8 @@ class WhatNext(Answer):
             met = std <= goal.target * (1 + 1e-9)
             figure, unit, part = (None, "", NORMAL * std) if goal.unit == "1" else (NORMAL * std, goal.unit, None)
             found.append(Use(
-                goal.purpose, goal.subject, Usable.YES if met else Usable.NO, figure, unit, part,
+                goal.purpose, "" if goal.name == goal.purpose else goal.subject, Usable.YES if met else Usable.NO,
+                figure, unit, part,
                 f"expected 95 % interval after {self.spent:.0f} min of measurements",
                 "" if met else f"σ is to be {goal.readable(goal.target)}"))
         return tuple(found)

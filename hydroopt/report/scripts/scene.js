@@ -146,7 +146,7 @@ const view = machine && (() => {
   world.add(labels);
   const label = (text) => {
     const sheet = document.createElement("canvas"), pen = sheet.getContext("2d");
-    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ depthTest: false, transparent: true }));
+    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ depthTest: false, transparent: true, sizeAttenuation: false }));
     const write = () => {
       pen.font = "600 34px system-ui, sans-serif";
       sheet.width = pen.measureText(text).width + 20; sheet.height = 48;
@@ -155,7 +155,7 @@ const view = machine && (() => {
       pen.fillStyle = look.colour("ink"); pen.fillText(text, 10, 35);
       sprite.material.map?.dispose();
       sprite.material.map = new THREE.CanvasTexture(sheet);
-      sprite.scale.set(sheet.width / 48 * 0.033 * size, 0.033 * size, 1);
+      sprite.material.map.colorSpace = "srgb";
     };
     write();
     look.listen(write);
@@ -174,6 +174,12 @@ const view = machine && (() => {
     ...scene.struts.map((strut) => ({ sprite: label(strut.name), at: (poses) => middleOf([machine.place(poses, strut.start), machine.place(poses, strut.end)]) })),
     ...scene.marks.map((mark) => ({ sprite: label(mark.name), mark: true, at: (poses) => machine.place(poses, { ...mark, at: [mark.at[0], mark.at[1], mark.at[2] + (mark.kind === "obstacle" ? mark.radius : 2 * thick)] }) })),
   ];
+
+  // names are as large on a phone as in a wide window
+  const letters = () => {
+    const high = 2 * Math.tan(camera.fov * Math.PI / 360) * 16 / canvas.clientHeight;
+    for (const { sprite } of named) sprite.scale.set(sprite.material.map.image.width / sprite.material.map.image.height * high, high, 1);
+  };
 
   // --- motion ---
   let poses = first, joints = start;
@@ -279,9 +285,10 @@ const view = machine && (() => {
     renderer.setSize(width, height);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
+    letters();
     if (!sized) fit();
     sized = true;
-    draw();
+    render();  // at once, since a new size empties the picture
   }).observe(canvas);
 
   // --- sliders where nothing is replayed ---
