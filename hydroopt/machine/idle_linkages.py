@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.quantity import ImpossibleError
 
 
 class IdleLinkage(NamedTuple):
@@ -16,6 +17,18 @@ class IdleLinkage(NamedTuple):
     cylinder: str
     moves: str
     bars: tuple[str, ...]
+
+    @property
+    def what(self) -> str:
+        """What is wrong."""
+        return (f"{self.cylinder} is pinned to {self.moves} itself and passes the linkage {self.loop} by: nothing "
+                f"drives {' and '.join(self.bars)}")
+
+    @property
+    def remedy(self) -> str:
+        """What to do if the linkage moves the link, and otherwise."""
+        return (f"pin {self.cylinder} to {' or '.join(self.bars)}; a linkage that only follows {self.moves} is stated "
+                "by its links and [[loops]]")
 
 
 def idle_linkages(machine: Machine) -> Iterator[IdleLinkage]:
@@ -47,6 +60,17 @@ def idle_linkages(machine: Machine) -> Iterator[IdleLinkage]:
             cylinder = next((each.name for each in machine.cylinders if ends[each.name] == {ground, moved}), None)
             if bars and idle and cylinder:
                 yield IdleLinkage(loop.name, cylinder, moved, bars)
+
+
+def check(machine: Machine, stated: Collection[str]) -> None:
+    """Refuse loops of which the file states that they move a link, where a cylinder passes them by.
+
+    Raises:
+        ImpossibleError: one of the loops named `stated` is idle.
+    """
+    for each in idle_linkages(machine):
+        if each.loop in stated:
+            raise ImpossibleError(each.what, each.remedy, f"loops[{each.loop}]")
 
 
 def _around(machine: Machine, loop: Loop) -> list[str]:

@@ -61,8 +61,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         Which place of the machine stands where in the file.
 
     Raises:
-        MachineError: a key is unknown or missing, there is no such link, a name is taken, or a cylinder passes the
-            linkage by.
+        MachineError: a key is unknown or missing, there is no such link, or a name is taken.
     """
     moved: dict[str, str] = {}
     links: list[Any] = stated if isinstance(stated := data.get("links"), list) else []
@@ -91,11 +90,6 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
             own = f"linkages[{linkage['name']}].{role}"
             moved |= {f"links[{name}].joint.a": f"{own}.length", f"links[{name}].joint.friction": f"{own}.friction",
                       f"links[{name}]": own}
-        if past := _past(data, links, linkage["moves"], names):
-            raise MachineError(f"the cylinder '{past}' is pinned to '{linkage['moves']}' itself, past the linkage that "
-                               f"moves it: nothing drives '{names[0]}'", where=at,
-                               remedy=f"pin the cylinder to '{names[0]}'; where the linkage only follows, state its "
-                               "links and [[loops]] instead")
         links[there:there] = made
         loops = tables(data.setdefault("loops", []), f"{where}: loops")
         loops.append({"name": linkage["name"], "link": names[1], "posture": linkage["posture"],
@@ -103,20 +97,3 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         moved |= {f"loops[{linkage['name']}].to.pin": f"linkages[{linkage['name']}].coupler.pin",
                   f"loops[{linkage['name']}]": f"linkages[{linkage['name']}]"}
     return moved
-
-
-_ENDS = ("barrel", "rod")
-
-
-def _past(data: dict[str, Any], links: list[Any], moves: str, bars: list[Any]) -> str | None:
-    """The cylinder on the link that a linkage moves, where neither a part with two ends nor a link is on its bars."""
-    pinned = {part: [each for each in stated if isinstance(each, dict)] if isinstance(stated := data.get(part), list)
-              else [] for part in ("cylinders", "gas_cylinders", "springs")}
-
-    def ends(part: dict[str, Any]) -> list[Any]:
-        return [end.get("link") for key in _ENDS if isinstance(end := part.get(key), dict)]
-
-    carried = {link.get("parent") for link in links if isinstance(link, dict)}
-    if any(bar in carried or any(bar in ends(part) for parts in pinned.values() for part in parts) for bar in bars):
-        return None
-    return next((str(part.get("name")) for part in pinned["cylinders"] if moves in ends(part)), None)

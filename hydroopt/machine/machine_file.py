@@ -25,6 +25,7 @@ from hydroopt.machine import (
     base_motion,
     cylinder_checks,
     free_links,
+    idle_linkages,
     linkages,
     loop_checks,
     oil_links,
@@ -141,6 +142,7 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     try:
         data = _strip_notes(data, "", "", notes)
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
+        idle_linkages.check(machine, [loop.name for loop in machine.loops if f"loops[{loop.name}]" in moved])
         _check_geometry(machine)
         prior_checks.check(machine)
     except ValidationError as error:

@@ -74,7 +74,7 @@ def _straight_cylinders(model: Model) -> Iterator[Diagnostic]:
 def _idle_linkages(model: Model) -> Iterator[Diagnostic]:
     for each in idle_linkages(model.machine):
         yield Diagnostic(Kind.LINKAGE_IDLE, (each.loop,), {
-            "cylinder": each.cylinder, "moves": each.moves, "bars": " and ".join(each.bars)})
+            "moves": each.moves, "what": each.what, "remedy": each.remedy})
 
 
 def _unclear_postures(model: Model) -> Iterator[Diagnostic]:

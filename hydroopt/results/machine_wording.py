@@ -25,8 +25,7 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "rocker and a coupler mostly stand between; left out, they make lever arms wrong by up to a fifth.",
         "If the machine has them, state them by [[linkages]] and pin the rod to the rocker."),
     Kind.LINKAGE_IDLE: Words(
-        "The linkage {subject} carries nothing: {cylinder} is pinned to {moves} itself and passes {bars} by.",
-        "If the linkage moves {moves}, pin the cylinder to one of its bars; if it only follows, nothing is wrong."),
+        "{what}.", "If the linkage moves {moves}, {remedy}."),
     Kind.BETWEEN_BRANCHES: Words(
         "The posture of {subject} lies between the two ways to assemble it: {near} from the one that is taken and "
         "{far} from the other.",

@@ -10,9 +10,14 @@ from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.cli import app
 from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.idle_linkages import idle_linkages
 from hydroopt.machine.loop_checks import loop_ranges
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.machine_diagnostics import machine_diagnostics
+from hydroopt.results.wording import Kind
 
 LINKS = """
 name = "digger"
@@ -199,8 +204,16 @@ def test_a_linkage_that_its_cylinder_passes_by_is_refused_where_the_stroke_suffi
     with pytest.raises(MachineError) as caught:
         read_machine(past)
     assert caught.value.where.endswith("linkages[four_bar]")
-    assert "'bucket_cylinder' is pinned to 'bucket' itself, past the linkage" in caught.value.what
-    assert caught.value.remedy.startswith("pin the cylinder to 'rocker'")
+    stick, bucket = links.split('[[links]]\nname = "bucket"\n')
+    bars, loop = LOOP.split("[[loops]]")
+    last = f'[[links]]\nname = "bucket"\nparent = "stick"\n{bucket}[[loops]]{loop}'
+    by_hand = read_machine(stick + bars + last + straight)
+    warned, = idle_linkages(by_hand)  # by the same rule, but they may follow only
+    assert (caught.value.what, caught.value.remedy) == (warned.what, warned.remedy)
+    assert warned.what == ("bucket_cylinder is pinned to bucket itself and passes the linkage four_bar by: nothing "
+                           "drives rocker and coupler")
+    shown, = of_kind(machine_diagnostics(Model(by_hand)), Kind.LINKAGE_IDLE)
+    assert shown.text == warned.what + "."
     carries = past + '[[springs]]\nname = "helper"\nbarrel = { link = "stick", pin = ["0.1 m", "0.8 m", "0 m"] }\n' \
         'rod = { link = "rocker", pin = ["0.9 m", "0 m", "0 m"] }\nstiffness = "1 kN/m"\nreference_length = "0.5 m"\n'
     read_machine(carries)  # a linkage that carries something is none of these
