@@ -224,8 +224,9 @@ class Limits:
         found = parts(self.model)
         if machine.ground is not None:
             for part in found:
+                # lines around an area end at each of its corners
                 for end in (part.end,) if part.link else (part.start, part.end):
-                    if not end[2].is_constant():
+                    if _varies(end[2], self.model.coordinates.q):
                         self._add(f"{part.name} above ground", "m", end[2] - part.radius,
                                   machine.ground + reserves.clearance, scale=1.0)
         for obstacle in machine.obstacles:
@@ -241,13 +242,13 @@ class Limits:
                       reserves.between, scale=1.0)
 
     def _from_obstacle(self, part: Part, carrier: str, centre: ca.SX) -> ca.SX | None:
-        """Distance of a part from the centre of a ball on a link; of a link that is pinned there, of its outer half.
+        """Distance of a part from the centre of a ball on a link; of a line that is pinned there, of its outer half.
 
         None if it is the carrier, or a cylinder that is pinned there, or if it does not move against it.
         """
         if part.link == carrier or (not part.link and carrier in part.bodies):
             return None
-        if carrier in part.bodies:
+        if carrier in part.bodies and part.rooted:
             part = part._replace(start=(part.start + part.end) / 2)
         away, q = distance_to_point(part, centre), self.model.coordinates.q
         return away if _varies(away, q) else None

@@ -1,8 +1,8 @@
-"""The parts of a machine as straight lines between their pins, and the distances between them."""
+"""The parts of a machine as straight lines, and the distances between them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -11,7 +11,8 @@ import numpy as np
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.model.model import Model
-from hydroopt.model.scene_graph import SceneGraph
+from hydroopt.model.scene_graph import SceneBody
+from hydroopt.spatial.inertia import Array
 
 CLOSE, OFTEN, POSTURES = 0.1, 0.25, 400
 """Parts that are nearer than this [m] in more than this part of so many random postures are built close."""
@@ -22,10 +23,11 @@ ROUNDING = 1e-12
 
 
 class Part(NamedTuple):
-    """A link from its joint to its far end, or a cylinder, rod or spring from pin to pin; all in the base frame.
+    """A line of a link, or a cylinder, rod or spring from pin to pin; all in the base frame.
 
     `start` and `end` (3,) [m] are expressions of q; `radius` [m] is that of a barrel, zero where none is known. `link`
-    is the link that it is, empty for a strut; `carriers` are the links that carry its ends.
+    is the link that it belongs to, empty for a strut; `carriers` are the links that carry its ends. A line is `rooted`
+    if it starts at the joint of its link, which is held there.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Part(NamedTuple):
     radius: float
     link: str
     carriers: frozenset[str]
+    rooted: bool = True
 
     @property
     def bodies(self) -> frozenset[str]:
@@ -42,20 +45,31 @@ class Part(NamedTuple):
 
 
 def parts(model: Model) -> tuple[Part, ...]:
-    """All links but axes without body and length, then all struts, of a machine."""
-    machine, dynamics = model.machine, model.dynamics
-    poses = {link.name: dynamics.links[link.name].pose for link in machine.links}
-    ends = {link.name: dynamics.geometry.far_end(link.name) for link in machine.links}
-    links = [Part(link.name, poses[link.name].origin, (poses[link.name] @ ends[link.name]).origin, 0.0, link.name,
-                  frozenset({link.parent})) for link in machine.links
-             if link.body is not None or np.any(np.asarray(ca.DM(ends[link.name].origin)))]
+    """The lines of all links, but for axes without body and length, then all struts, of a machine.
 
-    def at(point: tuple[str, tuple[float, float, float]]) -> ca.SX:
-        link, place = point
+    They are those that its picture shows: `SceneBody.lines` and the sections of telescopes.
+    """
+    machine, graph = model.machine, model.scene_graph
+    poses = {link.name: model.dynamics.links[link.name].pose for link in machine.links}
+
+    def at(link: str, place: Sequence[float]) -> ca.SX:
         return ca.SX(ca.DM(place)) if link == BASE else poses[link].point(ca.DM(place))
 
-    struts = [Part(strut.name, at(strut.start), at(strut.end), strut.diameter / 2 if strut.kind == "cylinder" else 0.0,
-                   "", frozenset({strut.start[0], strut.end[0]})) for strut in SceneGraph(machine).struts]
+    def line(body: SceneBody, ends: Array, carriers: frozenset[str]) -> Part:
+        start, end = ends
+        return Part(body.name, at(body.name, start.tolist()), at(body.name, end.tolist()), 0.0, body.name, carriers,
+                    not np.any(start))
+
+    links = []
+    for body in graph.bodies:
+        if machine.link(body.name).body is not None or np.any(body.lines):
+            links += [line(body, ends, frozenset({body.parent})) for ends in body.lines]
+        if body.section is not None:  # it moves in the telescope's first section, and is held where this is
+            first = _section(machine, body.name)
+            links.append(line(body, body.section, frozenset({body.parent, first, machine.link(first).parent})))
+    struts = [Part(strut.name, at(*strut.start), at(*strut.end),
+                   strut.diameter / 2 if strut.kind == "cylinder" else 0.0, "",
+                   frozenset({strut.start[0], strut.end[0]})) for strut in graph.struts]
     return (*links, *struts)
 
 
@@ -88,8 +102,8 @@ def pairs(model: Model, within: float) -> Iterator[tuple[Part, Part]]:
 
 
 def _section(machine: Machine, link: str) -> str:
-    """The first section of the telescope that a link belongs to, or itself."""
-    while link != BASE and machine.link(link).joint.type == "prismatic":
+    """The first section of the telescope that a link belongs to, the link that it is fixed to, or itself."""
+    while link != BASE and machine.link(link).joint.type != "revolute":
         link = machine.link(link).parent
     return link
 

@@ -17,6 +17,7 @@ from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.springs import Pinned
 from hydroopt.spatial import inertia
+from hydroopt.spatial.convex_hull import corners
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, roll_pitch_yaw
@@ -31,6 +32,9 @@ CARRIED = 0.05
 before; any other one runs on a rail of that link."""
 OVERLAP = 1.1
 """Length of such a section over its travel."""
+BROAD, LONG = 0.5, 1e-6
+"""A link whose joint and far end are nearer to each other than `LONG` [m] is an area if its points spread over more
+than `BROAD` of their length across it."""
 JAVASCRIPT = {"fabs": "Math.abs", "fmin": "Math.min", "fmax": "Math.max"}
 """Operations whose names in JavaScript are not those in C."""
 
@@ -39,9 +43,9 @@ class SceneBody(NamedTuple):
     """A link: `seat` (4, 4) is its frame P_i where its joint stands at zero, in its parent's frame.
 
     The joint moves it about or along the z axis of P_i by the entry `column` of the tree's joints, None if locked.
-    `points` (k, 3) [m] are what the link joins, in P_i, with the ends of rails that it carries; `section` (2, 3) [m] is
-    the part of a telescope that moves in the link before, None elsewhere. `com` (3,) is its centre of mass, None
-    without a body, and among the points of a link that joins nothing else.
+    `points` (k, 3) [m] are what the link joins, in P_i, with the ends of rails that it carries, and `far` (3,) is its
+    far end, one of them; `section` (2, 3) [m] is the part of a telescope that moves in the link before, None elsewhere.
+    `com` (3,) is its centre of mass, None without a body, and among the points of a link that joins nothing else.
     """
 
     name: str
@@ -50,8 +54,29 @@ class SceneBody(NamedTuple):
     joint: Literal["revolute", "prismatic", "locked"]
     column: int | None
     points: Array
+    far: Array
     com: Array | None
     section: Array | None = None
+
+    @property
+    def lines(self) -> Array:
+        """What it is as lines (k, 2, 3) [m] in P_i, beside its `section`: from its joint to its far end.
+
+        Where these are in one place, it is that section alone, or a line to the point farthest away, or one all around
+        a platform. Brackets beside a line are left out.
+        """
+        if self.section is not None and np.linalg.norm(self.far) <= LONG:
+            return np.zeros((0, 2, 3))
+        if np.linalg.norm(self.far) > LONG:
+            return np.array([[np.zeros(3), self.far]])
+        about = self.points - self.points.mean(axis=0)
+        axes = np.linalg.svd(about, full_matrices=False)[2]
+        along, across = np.ptp(about @ axes[:2].T, axis=0) if len(about) > 2 else (0.0, 0.0)
+        if across > BROAD * along:
+            rim = self.points[corners(about @ axes[:2].T)]
+            return np.stack([rim, np.roll(rim, -1, axis=0)], axis=1)
+        farthest = self.points[np.argmax(np.linalg.norm(self.points, axis=1))]
+        return np.array([[np.zeros(3), farthest]])
 
 
 class Strut(NamedTuple):
@@ -156,7 +181,8 @@ class SceneGraph:
         return tuple(SceneBody(
             link.name, link.parent, seats[link.name], link.joint.type,
             self.columns.index(link.name) if link.joint.moving else None,
-            np.unique(np.round(joined[link.name], 9), axis=0), centres.get(link.name), sections.get(link.name))
+            np.unique(np.round(joined[link.name], 9), axis=0),
+            np.array(_point(self.geometry.far_end(link.name).origin)), centres.get(link.name), sections.get(link.name))
             for link in self._links)
 
     @cached_property

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from hydroopt.errors import visible
 from hydroopt.machine.machine import BASE
 from hydroopt.report.numbers import plain
+from hydroopt.spatial.convex_hull import corners
 
 if TYPE_CHECKING:
     from hydroopt.model.scene_graph import SceneGraph, Strut
@@ -206,7 +207,8 @@ def _posture(graph: SceneGraph, tree: dict[str, float], view: View) -> Posture:
     if len(graph.on_base):
         bodies.append((world(BASE, [[0.0, 0.0, 0.0], *graph.on_base]), BASE, "chassis"))
     bodies.sort(key=lambda body: round(view.nearness(body[0]), 6))
-    parts = [Part(name, kind, _hull(view.of(points))) for points, name, kind in bodies]  # type: ignore[arg-type]
+    parts = [Part(name, kind, seen[corners(seen)])  # type: ignore[arg-type]
+             for seen, name, kind in ((view.of(points), name, kind) for points, name, kind in bodies)]
     pins: list[Array] = []
     for strut in graph.struts:
         start, end = (world(body, at)[0] for body, at in (strut.start, strut.end))
@@ -224,26 +226,6 @@ def _strut(strut: Strut, start: Array, end: Array) -> Array:
     length = float(np.linalg.norm(end - start))
     neck = start + (end - start) * min(0.95, strut.body / max(length, 1e-9))
     return np.array([start, neck, end] if strut.body else [start, end])
-
-
-def _hull(points: Array) -> Array:
-    """Convex hull (k, 2) of points in the plane, counter-clockwise (Andrew's monotone chain)."""
-    ordered = np.unique(np.round(points, 9), axis=0)
-    if len(ordered) < 3:
-        return ordered
-    chains = []
-    for sequence in (ordered, ordered[::-1]):
-        chain: list[Array] = []
-        for p in sequence:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0:
-                chain.pop()
-            chain.append(p)
-        chains += chain[:-1]
-    return np.array(chains)
-
-
-def _turn(a: Array, b: Array, c: Array) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def coil(start: Array, end: Array) -> Array:
