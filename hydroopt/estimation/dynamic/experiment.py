@@ -17,6 +17,7 @@ from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
     DRY,
     FEW_MOVING,
+    Courses,
     Phases,
     SpeedLimits,
     dry_friction_known,
@@ -323,18 +324,21 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
         angles = measured_angles(model, log)
         motion = condition(log.t, angles, log.segment, smoothing or SmoothingSpline(bandwidth=machine.bandwidth),
                            angle_noise(model, log), names=machine.joints, where=log.path or log.name)
-    limits = SpeedLimits.of(angles, motion)
-    phases = Phases.of(angles, motion, limits)
-    motion, kept = phases.at_rest(motion), model.dynamics.kept
-    often = np.mean(phases.moving, axis=0)[kept] > FEW_MOVING
+    courses = Courses.of(model)
+    positions, followed = courses.measured(angles), courses.smoothed(motion)
+    limits = SpeedLimits.of(positions, followed)
+    phases = Phases.of(positions, followed, limits)
+    motion, (moving, calm) = phases.at_rest(motion), phases.of_balances(courses)
+    often = np.mean(moving, axis=0) > FEW_MOVING
     attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
     lags, force = force_lags(model, log), free_forces(model, log, motion.q)
     read = np.isfinite(force)
-    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & read
+    known = dry_friction_known(model, motion, moving, limits.noise[: len(machine.joints)])
+    known &= (often | ~has_dry_friction(model)) & read
     made = Experiment(model, log, motion, force, known_in_spite_of(lags, known, motion),
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      phases.calm[:, kept] & ~known & read, position_std)
+                      calm & ~known & read, position_std)
     return made._lagging(lags) if np.any(lags) else made
 
 

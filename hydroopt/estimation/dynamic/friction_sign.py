@@ -1,8 +1,9 @@
-"""Where the sign of a joint's velocity, and so of its dry friction, is known (Eq. 4.51), and where joints stand still.
+"""Where the sign of a velocity, and so of dry friction, is known (Eq. 4.51), and where joints stand still.
 
 In a sample a joint is in motion, calm, or in a reversal. Forces of an actuator without dry friction follow from the
 motion in all of them, and with dry friction in motion. While the joint is calm its friction is anything between −f and
-f (`holds`), and reversals are left out.
+f (`holds`), and reversals are left out. A cylinder that spans several joints moves otherwise than each of them: its
+length counts like the position of a joint.
 """
 
 from __future__ import annotations
@@ -40,8 +41,71 @@ DRY = (ParameterKind.COULOMB_FRICTION, ParameterKind.STRIBECK_FRICTION, Paramete
 
 
 @dataclass(frozen=True, eq=False)
+class Courses:
+    """What dry friction may follow: the joints, then the lengths of cylinders that span several of them.
+
+    Attributes:
+        model: of the machine.
+        spanning: places of these cylinders in the machine's parts with two pins.
+        of_balances: columns whose dry friction is in the equation of each balance, its joint's where there is none.
+    """
+
+    model: Model
+    spanning: tuple[int, ...]
+    of_balances: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, model: Model) -> Courses:
+        """Those of a machine.
+
+        >>> import hydroopt as ho
+        >>> Courses.of(ho.Model(ho.load_machine("wheel_loader"))).of_balances
+        ((0,), (2,))
+        """
+        machine, kept = model.machine, model.dynamics.kept
+        spanning = [each for each in machine.cylinders if len(machine.moved_by(each)) > 1]
+        own: tuple[tuple[int, ...], ...] = tuple((joint,) for joint in kept)
+        if spanning:
+            column = {joint: k for k, joint in enumerate(machine.joints)}
+            column |= {each.name: column[machine.main_joint(each)] for each in machine.actuators}
+            column |= {each.name: len(machine.joints) + k for k, each in enumerate(spanning)}
+            dry = has_dry(model)
+            owners = [[name.partition(".")[0] for name in np.array(model.parameters.names)[row & dry].tolist()]
+                      for row in model.regressor_pattern]
+            own = tuple(tuple(sorted({column.get(owner, joint) for owner in some} or {joint}))
+                        for some, joint in zip(owners, kept, strict=True))
+        return cls(model, tuple(machine.pinned.index(each) for each in spanning), own)
+
+    def measured(self, angles: Array) -> Array:
+        """Measured positions (N, c) [rad or m] from those of the joints (N, n)."""
+        return angles if not self.spanning else np.hstack([angles, self._lengths(angles, 0 * angles)[0]])
+
+    def smoothed(self, motion: Motion) -> Motion:
+        """Their smoothed motion, without accelerations: a bandwidth is the largest of the joints that are spanned."""
+        if not self.spanning:
+            return motion
+        machine = self.model.machine
+        widest = [max(motion.bandwidth[machine.joints.index(joint)] for joint in machine.moved_by(machine.pinned[k]))
+                  for k in self.spanning]
+        return replace(motion, q=self.measured(motion.q), qd=self.speeds(motion.q, motion.qd),
+                       bandwidth=np.append(motion.bandwidth, widest))
+
+    def speeds(self, q: Array, qd: Array) -> Array:
+        """Their speeds (N, c) [rad/s or m/s] in a motion of the joints (N, n)."""
+        return qd if not self.spanning else np.hstack([qd, self._lengths(q, qd)[1]])
+
+    def in_any(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """What is so of any column (N, c) whose dry friction a balance has, by balance (N, r)."""
+        return np.stack([np.any(columns[:, list(own)], axis=1) for own in self.of_balances], axis=1)
+
+    def _lengths(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        found = self.model.over(self.model.cylinder_kinematics, q, qd, 0 * q)
+        return found[0][:, list(self.spanning), 0], found[1][:, list(self.spanning), 0]
+
+
+@dataclass(frozen=True, eq=False)
 class SpeedLimits:
-    """How slow counts as what, for each joint (n,).
+    """How slow counts as what, for each joint or column of `Courses` (c,).
 
     Attributes:
         slow: speed [rad/s or m/s] below which its sign may be wrong.
@@ -67,8 +131,8 @@ class SpeedLimits:
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """What each joint does in each sample (N, n): `moving` faster than its sign needs, or `calm`, and `rest` if it does
-    not move at all then.
+    """What each joint, or each column of `Courses`, does in each sample (N, c): `moving` faster than its sign needs, or
+    `calm`, and `rest` if it does not move at all then.
     """
 
     moving: NDArray[np.bool_]
@@ -105,8 +169,13 @@ class Phases:
 
         Where all are, the ends of stretches are as good as their middle.
         """
-        return replace(motion, qd=np.where(self.rest, 0.0, motion.qd), qdd=np.where(self.rest, 0.0, motion.qdd),
-                       interior=motion.interior | np.all(self.rest, axis=1))
+        rest = self.rest[:, : motion.q.shape[1]]
+        return replace(motion, qd=np.where(rest, 0.0, motion.qd), qdd=np.where(rest, 0.0, motion.qdd),
+                       interior=motion.interior | np.all(rest, axis=1))
+
+    def of_balances(self, courses: Courses) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Where all that has dry friction in each balance moves (N, r), and where all of it is calm (N, r)."""
+        return ~courses.in_any(~self.moving), ~courses.in_any(~self.calm)
 
 
 def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
@@ -146,20 +215,24 @@ def _places(t: Array, shift: float) -> NDArray[np.intp]:
     return found
 
 
+def has_dry(model: Model) -> NDArray[np.bool_]:
+    """Which parameters (p,) are of dry friction."""
+    return np.isin(np.array(model.parameters.kinds), DRY)
+
+
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:
     """Which measured forces (r,) depend on dry friction."""
-    dry = np.isin(np.array(model.parameters.kinds), DRY)
-    return np.asarray(np.any(model.regressor_pattern & dry, axis=1))
+    return np.asarray(np.any(model.regressor_pattern & has_dry(model), axis=1))
 
 
-def dry_friction_known(model: Model, motion: Motion, phases: Phases, noise: Array) -> NDArray[np.bool_]:
-    """Where the dry friction in each balance is known (N, r): where its joint moves, and inside dead zones, where it is
-    zero.
+def dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
+    """Where the dry friction in each balance is known (N, r): where what has it is `moving` (N, r), and inside dead
+    zones, where it is zero.
 
     Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds. That of a
     balance without dry friction is known everywhere.
     """
-    machine, known = model.machine, phases.moving[:, model.dynamics.kept]
+    machine, known = model.machine, moving.copy()
     for k, balance in enumerate(machine.balances):
         j = machine.joints.index(balance.joint)
         for actuator in balance.actuators:

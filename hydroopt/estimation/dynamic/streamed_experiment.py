@@ -28,6 +28,7 @@ from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
     FEW_MOVING,
     WINDOW,
+    Courses,
     Phases,
     SpeedLimits,
     dry_friction_known,
@@ -110,8 +111,13 @@ class StreamedExperiment:
             raise LogError(f"a motion of {np.min(chosen.bandwidth):.2g} Hz is too slow to be smoothed in pieces",
                            where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
         motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
-        limits = SpeedLimits.of(angles, motion)
+        limits = SpeedLimits.of(self._courses.measured(angles), self._courses.smoothed(motion))
         return chosen, limits, _experiment(model, log, angles, motion, limits, remarks(model, log, angles))
+
+    @cached_property
+    def _courses(self) -> Courses:
+        """What dry friction follows."""
+        return Courses.of(self.model)
 
     @property
     def _angle_channels(self) -> list[str]:
@@ -256,8 +262,8 @@ class StreamedExperiment:
         if a == b:
             return totals
         data = self._prepared(log, (first, last - 1))
-        moving = np.sum(np.abs(data.motion.qd[a:b]) > self._sample[1].slow, axis=0).astype(float)
-        totals.samples, totals.moving = int(b - a), moving[self.model.dynamics.kept]
+        slow = np.abs(self._courses.speeds(data.motion.q[a:b], data.motion.qd[a:b])) <= self._sample[1].slow
+        totals.samples, totals.moving = int(b - a), np.sum(~self._courses.in_any(slow), axis=0).astype(float)
         totals.sample_count = int(np.sum(data.inside[a:b]))
         memory: list[Array] | None = None
         for block in data.blocks(origin, (int(a), int(b))):
@@ -326,13 +332,14 @@ def _cut(data: Experiment, start: int, stop: int) -> Experiment:
 def _experiment(model: Model, log: Log, angles: Array, motion: Motion, limits: SpeedLimits,
                 remarks: tuple[str, ...] = ()) -> Experiment:
     """An experiment of a piece: how often a joint moves in all of the log is not known yet."""
-    phases = Phases.of(angles, motion, limits)
-    motion = phases.at_rest(motion)
+    courses = Courses.of(model)
+    phases = Phases.of(courses.measured(angles), courses.smoothed(motion), limits)
+    motion, (moving, calm) = phases.at_rest(motion), phases.of_balances(courses)
     force = free_forces(model, log, motion.q)
     read = np.isfinite(force)
-    known = dry_friction_known(model, motion, phases, limits.noise) & read
+    known = dry_friction_known(model, motion, moving, limits.noise[: len(model.machine.joints)]) & read
     return Experiment(model, log, motion, force, known, remarks, pressures(model, log),
-                      calm=phases.calm[:, model.dynamics.kept] & ~known & read)
+                      calm=calm & ~known & read)
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

@@ -109,7 +109,7 @@ class OfMotion(Fault):
         return self._beyond(view, self.state(view, size))
 
     def sensitivity(self, view: View, at: float = 0.0) -> Array:
-        """Derivative of the effect by the size (N, c), zero where a joint reverses between both sides of it."""
+        """Derivative of the effect by the size (N, c), zero where an actuator reverses between both sides of it."""
         return self._difference(view, self.state(view, at + self._step), self.state(view, at - self._step))
 
     def by_parameters(self, view: View, size: float) -> Array:
@@ -117,10 +117,11 @@ class OfMotion(Fault):
         return _only(view.regressor_of(*self.state(view, size)) - view.regressor, self._concerned(view))
 
     def unsteady(self, view: View, size: float) -> NDArray[np.bool_]:
-        """Readings (N, c) of joints that move too slowly in that motion for the sign of their friction to be known."""
+        """Readings (N, c) of actuators too slow in that motion for the sign of their friction to be known."""
         chosen = np.zeros(view.predicted.shape, dtype=bool)
-        slow, kept = np.abs(self.state(view, size)[1]) <= view.slowest, view.model.dynamics.kept
-        chosen[:, : len(kept)] = slow[:, kept]
+        q, qd, _ = self.state(view, size)
+        slow = view.courses.in_any(np.abs(view.courses.speeds(q, qd)) <= view.slowest)
+        chosen[:, : slow.shape[1]] = slow
         return _only(chosen, self._concerned(view))
 
     @property
@@ -135,7 +136,8 @@ class OfMotion(Fault):
 
     def _difference(self, view: View, up: Sequence[Array], down: Sequence[Array]) -> Array:
         made = (self._beyond(view, up) - self._beyond(view, down)) / (2 * self._step)
-        reverses = (np.sign(up[1]) != np.sign(down[1]))[:, view.model.dynamics.kept]
+        one, other = (np.sign(view.courses.speeds(q, qd)) for q, qd, _ in (up, down))
+        reverses = view.courses.in_any(one != other)
         made[:, : reverses.shape[1]][reverses] = 0.0
         return made
 

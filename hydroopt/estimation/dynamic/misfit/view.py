@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.friction_sign import Courses
 from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
@@ -152,11 +153,18 @@ class View:
 
     @cached_property
     def slowest(self) -> Array:
-        """Speed (n,) at which the sign of each joint's dry friction is known in this log; inf where it never is."""
-        kept = self.model.dynamics.kept
-        found = np.full(self.motion.qd.shape[1], np.inf)
-        found[kept] = np.min(np.where(self.experiment.known, np.abs(self.motion.qd[:, kept]), np.inf), axis=0)
+        """Speed (c,) of what dry friction follows at which its sign is known in this log; inf where it never is."""
+        speeds = np.abs(self.courses.speeds(self.motion.q, self.motion.qd))
+        found = np.full(speeds.shape[1], np.inf)
+        for known, own in zip(self.experiment.known.T, self.courses.of_balances, strict=True):
+            for column in own:
+                found[column] = min(found[column], np.min(speeds[known, column], initial=np.inf))
         return found
+
+    @cached_property
+    def courses(self) -> Courses:
+        """What dry friction follows."""
+        return Courses.of(self.model)
 
     @cached_property
     def spike_share(self) -> Array:
