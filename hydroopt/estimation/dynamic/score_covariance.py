@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Protocol
@@ -117,7 +117,12 @@ class InMotion:
     @cached_property
     def spectra(self) -> tuple[Spectrum, ...]:
         """Spectra of each actuator's residuals."""
-        return band_variances(self.channels, self.sigma, self.prior, self.parameters.scale, self.least**2)
+        return band_variances(self.channels, self.sigma, self.prior, self.parameters.scale, self.least**2, self.noise)
+
+    @cached_property
+    def noise(self) -> dict[int, Array]:
+        """The expected part (c, c) of KᵀK that is noise of K, by actuator."""
+        return _noise(self.together, self.channels)
 
     @property
     def correlation_time(self) -> Array:
@@ -130,7 +135,7 @@ class InMotion:
         if not any(np.any(one.counts) for one in channels):  # then they change nothing
             return *self.spectra, *band_variances(channels, sigma, self.prior, scale, least**2)
         return band_variances([*self.channels, *channels], np.append(self.sigma, sigma), self.prior, scale,
-                              np.append(self.least, least) ** 2)
+                              np.append(self.least, least) ** 2, self.noise)
 
     def split_halves(self) -> tuple[SplitHalf, ...]:
         """The tests of no difference between the halves of each log.
@@ -141,18 +146,18 @@ class InMotion:
         wide = np.concatenate([scale, *(scale[columns] for columns in self.together.contrast)])
         rows = np.hstack([rows, np.zeros((len(rows), len(wide) - len(scale)))])
         channels = self.together.channels(contrasts=True)
-        spectra = band_variances(channels, self.sigma, (rows, right), wide, self.least**2)
+        spectra = band_variances(channels, self.sigma, (rows, right), wide, self.least**2,
+                                 _noise(self.together, channels))
         each = [channels] if len(self.logs) == 1 else [log.channels(contrasts=True) for log in self.logs]
         return tuple(_split_half(one, spectra, self.prior, scale, wide) for one in each)
 
 
-def score_covariance(motion: InMotion, holds: Sequence[HoldEquations], psi: Array) -> ScoreCovariance:
+def score_covariance(motion: InMotion, holds: Sequence[HoldEquations]) -> ScoreCovariance:
     """The information of each actuator about ψ by the covariance of its score.
 
     Args:
         motion: equations in motion.
         holds: equations of each actuator at rest.
-        psi: (p,) parameters by least squares.
     """
     scale, channels = motion.parameters.scale, motion.channels
     at_rest = [one.channel(BANDS) for one in holds]
@@ -164,7 +169,7 @@ def score_covariance(motion: InMotion, holds: Sequence[HoldEquations], psi: Arra
     if len(motion.logs) > 1:
         between_logs, shared = _between(motion.logs, channels, spectra, motion.parameters, motion.prior)
     means = [one.mean(float(spectrum.variance[0])) for one, spectrum in zip(holds, between_holds, strict=True)]
-    noise = dict(_noise(motion.together, channels, spectra, psi))
+    noise = {i: spectra[i].noisy * added for i, added in motion.noise.items()}
     rows = [_rows_at_rest(channel, spectrum, mean, len(scale))
             for channel, spectrum, mean in zip(at_rest, between_holds, means, strict=True)]
     return ScoreCovariance(
@@ -175,17 +180,15 @@ def score_covariance(motion: InMotion, holds: Sequence[HoldEquations], psi: Arra
         correlation_time(spectra, motion.sigma), between_logs, motion.split_halves(), tuple(rows))
 
 
-def _noise(logs: ActuatorBands, channels: Sequence[Channel], spectra: Sequence[Spectrum],
-           psi: Array) -> Iterator[tuple[int, Array]]:
-    """The expected part (c, c) of KᵀK that is noise of K, by actuator.
-
-    Residuals that are smaller than it makes them show that the sensors are better than stated, and it is as much less.
-    """
+def _noise(logs: ActuatorBands, channels: Sequence[Channel]) -> dict[int, Array]:
+    """The expected part (c, c) of KᵀK that is noise of K, by actuator; that of contrasts is left out."""
+    p, found = logs.noise.shape[-1], dict[int, Array]()
     for i, added in zip(logs.noisy.tolist(), logs.noise, strict=True):
-        expected, shown = float(psi @ added @ psi), float(channels[i].counts @ spectra[i].variance)
-        if expected > 0:
-            own = channels[i].columns
-            yield i, added[np.ix_(own, own)] * min(1.0, shown / expected)
+        own = channels[i].columns
+        inner = own < p
+        found[i] = np.zeros((len(own), len(own)))
+        found[i][np.ix_(inner, inner)] = added[np.ix_(own[inner], own[inner])]
+    return found
 
 
 def _with_holds(channel: Channel, spectrum: Spectrum, at_rest: Channel, between: Spectrum,

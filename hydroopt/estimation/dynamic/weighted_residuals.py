@@ -230,9 +230,10 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         names = ", ".join(e.log.path or e.log.name for e in experiments)
         raise IdentifiabilityError("no joint moves in the training logs, and they hold a single posture", where=names,
                                    remedy="record a log in which the joints move, or rest in several postures")
-    sigma, weights = _sigma(problem, data, tolerance), None
+    of_angles = _noise_of_angles(problem, folded, data)
+    sigma, weights = _sigma(problem, data, tolerance, of_angles), None
     if problem.loss != "squares":
-        data, sigma, weights, folded = _robust(problem, data, folded, sigma, point)
+        data, sigma, weights, folded = _robust(problem, data, folded, sigma, point, of_angles)
     # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
     psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
@@ -249,7 +250,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         wide = sigma * np.sqrt(motion.correlation_time)
     equations = tuple(holds.equations(_second_moments(problem, data, wide, priors, stated),
                                       np.nan_to_num(problem.force_std)))
-    found = score_covariance(motion, equations, psi)
+    found = score_covariance(motion, equations)
     # correlated residuals carry less information than as many independent ones
     wide = sigma * np.sqrt(found.correlation_time)
     plain = data.weighted(wide)
@@ -343,14 +344,29 @@ def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: floa
     return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
 
 
-def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float) -> Array:
-    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
+def _noise_of_angles(problem: ResidualProblem, folded: Sequence[ActuatorBands], data: CompressedRegressor) -> Array:
+    """Standard deviation (n,) that noise of angles gives the residuals of joints that nothing drives, 0 elsewhere.
+
+    It is that of the nominal parameters. Such residuals 0 − K·ψ vanish with ψ, so that those of a fit may say nothing.
+    """
+    squares, psi = np.zeros(len(data.samples)), problem.parameters.nominal
+    for one in folded:
+        squares[one.noisy] += np.einsum("i,fij,j->f", psi, one.noise, psi)
+    return np.asarray(np.sqrt(squares / np.maximum(data.samples, 1.0)))
+
+
+def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float, of_angles: Array) -> Array:
+    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit.
+
+    None is below that by noise of angles.
+    """
     size = _rms_force(problem, data)
-    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
+    stated = np.where(of_angles > 0, of_angles, problem.force_std)
+    sigma = np.where(np.isfinite(stated), stated, 0.1 * size)
     sigma = np.where(sigma > 0, sigma, 1.0)
     if not problem.reweight:
         return np.asarray(sigma)
-    floor = _smallest(size)
+    floor = np.maximum(_smallest(size), of_angles)
     for _ in range(3):
         R, r, _ = data.weighted(sigma)
         psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
@@ -375,14 +391,14 @@ def _smallest(size: Array) -> Array:
 
 
 def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,
-            point: Array) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
+            point: Array, of_angles: Array) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
     The residuals are those of the most probable parameters before constraints, which good data hardly move. At these,
     ordinary least squares on ``K·ψ + σ·ρ'(u)/E[ρ'']`` lead to the same parameters and to their asymptotic covariance
     (Huber 1973): the equations that are returned by frequency.
     """
-    floor = 1e-6 * sigma
+    floor = np.maximum(1e-6 * sigma, of_angles)
     psi = np.full(len(problem.parameters), np.inf)
     for _ in range(20):
         R, r, _ = data.weighted(sigma)

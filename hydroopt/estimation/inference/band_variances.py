@@ -12,7 +12,7 @@ taken from it, and neighbouring bands share what they know, since a spectrum is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -55,11 +55,15 @@ class Channel:
 
 
 class Spectrum(NamedTuple):
-    """Variances S (B,) of a channel's residuals by band, their degrees of freedom (B,), and the channel's weight w."""
+    """Variances S (B,) of a channel's residuals by band, their degrees of freedom (B,), and the channel's weight w.
+
+    `noisy` is the share of the stated noise of K that the residuals admit, at most 1.
+    """
 
     variance: Array
     freedom: Array
     weight: float
+    noisy: float = 1.0
 
 
 class Shared(NamedTuple):
@@ -76,11 +80,15 @@ class Shared(NamedTuple):
 
 
 def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array, Array], scale: Array,
-                   least: Array) -> tuple[Spectrum, ...]:
+                   least: Array, noise: Mapping[int, Array] | None = None) -> tuple[Spectrum, ...]:
     """Variances of residuals by band, from a least-squares fit under the priors.
 
     Priors that the data contradict weigh less by a variance of their own, at least 1: otherwise their errors would
     pass for residuals.
+
+    Rows 0 = K·ψ with noise in K are fitted best by ψ = 0, with residuals and a variance that vanish together. What
+    noise adds to KᵀK is therefore taken out of the fit, at the ψ of the round before, which is that of the priors at
+    first. Residuals smaller than it makes them show that K is less noisy than stated, and it counts as much less.
 
     Args:
         channels: rows of each.
@@ -88,12 +96,15 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
         prior: rows and right-hand side of ``‖rows·ψ − right‖²``.
         scale: (p,) sizes of the parameters.
         least: (n,) variances that none of a channel is below.
+        noise: by channel, the (c, c) expected part of KᵀK that is noise of K.
     """
+    noise = noise or {}
     counts = np.array([channel.counts for channel in channels])
     silent = ~np.any(counts, axis=1)
     if np.any(silent):  # one without rows has the variance that it is given
-        heard = iter(band_variances([one for one, left_out in zip(channels, silent, strict=True) if not left_out],
-                                    sigma[~silent], prior, scale, least[~silent]) if not np.all(silent) else ())
+        place = {k: i for i, k in enumerate(np.flatnonzero(~silent).tolist())}
+        heard = iter(band_variances([channels[k] for k in place], sigma[~silent], prior, scale, least[~silent],
+                                    {place[k]: added for k, added in noise.items() if k in place}) if place else ())
         return tuple(Spectrum(np.full(len(none), std**2), none, float(1 / std**2)) if left_out else next(heard)
                      for none, std, left_out in zip(_smooth(counts, counts)[1], sigma, silent, strict=True))
     weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
@@ -112,9 +123,17 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
         np.searchsorted(of, np.arange(counts.shape[1] + 1)).tolist())]
         for rows, of in zip(moved, band, strict=True)])  # (n, B, k·k): sums of them are products of matrices
     P, PP = prior[0] @ base, _gram(prior[0] @ base)
+    added = {k: base[channels[k].columns].T @ one @ base[channels[k].columns] for k, one in noise.items()}
+    share, z = np.ones(len(channels)), np.zeros(len(PP))
+    if added:  # how noisy K is shows whatever the size of ψ, whose direction is that of a fit
+        z = np.linalg.inv((weight @ products.sum(axis=1)).reshape(PP.shape) + PP) @ (weight @ sides + P.T @ prior[1])
+        for k, one in added.items():
+            share[k] = _share(float(z @ products[k].sum(axis=0).reshape(PP.shape) @ z), float(z @ one @ z))
+        z = np.linalg.lstsq(P, prior[1], rcond=None)[0]
     for _ in range(ROUNDS):
         inverse = np.linalg.inv((weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP)
-        z = inverse @ (weight @ sides + belief * P.T @ prior[1])
+        unshrunk = sum((share[k] * weight[k] * one @ z for k, one in added.items()), np.zeros(len(PP)))
+        z = inverse @ (weight @ sides + unshrunk + belief * P.T @ prior[1])
         squares = np.array([np.bincount(of, (rows @ z - block[:, -1]) ** 2, counts.shape[1])
                             for rows, block, of in zip(moved, whole, band, strict=True)])
         leverage = weight[:, None] * (products @ inverse.ravel())
@@ -125,11 +144,18 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
         left = np.maximum(counts - leverage, LEAST * counts)
         variance, freedom = _smooth(variance * ratio, left)
         variance = np.maximum(variance, least[:, None])
+        for k, one in added.items():
+            share[k] = _share(float(counts[k] @ variance[k]), float(z @ one @ z))
         spared = len(P) - belief * float(np.sum(PP * inverse))
         belief = min(1.0, spared / max(float(np.sum((P @ z - prior[1]) ** 2)), 1e-300)) if spared > 1e-6 else 1.0
         seen = leverage.sum(axis=1)
         weight = np.where(seen > 0, seen / np.where(seen > 0, (leverage * variance).sum(axis=1), 1.0), 1 / sigma**2)
-    return tuple(Spectrum(*one) for one in zip(variance, freedom, weight.tolist(), strict=True))
+    return tuple(Spectrum(*one) for one in zip(variance, freedom, weight.tolist(), share.tolist(), strict=True))
+
+
+def _share(shown: float, expected: float) -> float:
+    """The part of a sum of squares that is expected which another one shows, at most 1."""
+    return min(1.0, shown / expected) if expected > 0 else 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,13 +105,16 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
     # coordinates are whitened: scaling the rows as well costs steps, and without noise the end of the search
+    answers = []
     for settings.equilibrate_enable in (False, True):
         with given_alone():
-            found = clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope), constant,
-                                           kinds, settings).solve()
-        status = str(found.status)
-        if "Solved" in status or "PrimalInfeasible" in status:
+            answers.append(clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope),
+                                                  constant, kinds, settings).solve())
+        if str(answers[-1].status) == "Solved" or "PrimalInfeasible" in str(answers[-1].status):
             break
+    # of two that are almost solved the latter, whose constraints hold more closely
+    found = next((one for one in answers[::-1] if "Solved" in str(one.status)), answers[-1])
+    status = str(found.status)
     if "PrimalInfeasible" in status:
         return None
     if "Solved" not in status:

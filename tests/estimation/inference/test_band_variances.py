@@ -137,3 +137,18 @@ def test_priors_that_the_data_contradict_do_not_pass_for_residuals() -> None:
         prior = (np.eye(4) / 0.01, (TRUTH + 0.01 * wrong) / 0.01)
         (spectrum,) = band_variances([one], np.array([0.1]), prior, SCALE, LEAST)
         np.testing.assert_allclose(np.average(spectrum.variance[:3], weights=one.counts[:3]), 0.01, rtol=0.6)
+
+
+@pytest.mark.parametrize("stated", [1.0, 2.0])
+def test_rows_without_a_force_keep_the_variance_that_noise_of_them_makes(stated: float) -> None:
+    """0 = (K + δ)·ψ is fitted best by ψ = 0, where residuals and their variance vanish; a weak prior does not help."""
+    rng, psi, noise = np.random.default_rng(2), np.array([2.0, 1.0]), 0.1
+    rows = np.outer(rng.normal(size=4 * N), [1.0, -2.0]) + noise * rng.normal(size=(4 * N, 2))
+    one = Channel(np.arange(2), (np.column_stack([rows, np.zeros(4 * N)]),), np.array([4.0 * N]))
+    prior = (np.diag(1 / (0.3 * psi)), np.full(2, 1 / 0.3))
+    added = {0: 4 * N * (stated * noise) ** 2 * np.eye(2)}
+    (right,), (left_out,) = (band_variances([one], np.array([0.2]), prior, psi, LEAST, given)
+                             for given in (added, None))
+    assert right.variance[0] == pytest.approx(noise**2 * psi @ psi, rel=0.15)
+    assert right.noisy == pytest.approx(1 / stated**2, rel=0.15)
+    assert left_out.variance[0] < 1e-3 * right.variance[0]

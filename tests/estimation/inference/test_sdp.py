@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
+import clarabel as conic
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -326,3 +328,24 @@ def test_the_certificate_of_cones_refuses_what_is_not_the_minimum(one_body: OneB
 def test_contradicting_cones_have_no_point() -> None:
     away = [Cone("above", False, -np.ones(1), np.eye(1)), Cone("below", False, -np.ones(1), -np.eye(1))]
     assert nearest_point(np.zeros(1), away, "test") is None
+
+
+def test_a_program_that_is_almost_solved_is_tried_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, scaled = conic.DefaultSolver, list[bool]()
+
+    class Tired:
+        def __init__(self, *given: object) -> None:
+            self.given = given
+
+        def solve(self) -> SimpleNamespace:
+            found = real(*self.given).solve()
+            scaled.append(self.given[-1].equilibrate_enable)
+            first = len(scaled) == 1
+            return SimpleNamespace(status="AlmostSolved" if first else found.status, x=np.array(found.x) - 1e-3 * first,
+                                   z=found.z)
+
+    monkeypatch.setattr(conic, "DefaultSolver", Tired)
+    found = nearest_point(np.array([-1.0, 2.0]), [Cone("positive", False, np.zeros(1), np.array([[1.0, 0.0]]))], "test")
+    assert found is not None
+    assert found.z == pytest.approx([0.0, 2.0], abs=1e-7)
+    assert scaled == [False, True]
