@@ -7,6 +7,7 @@ import numpy as np
 from hydroopt import load_machine
 from hydroopt.study.montecarlo import montecarlo
 from hydroopt.study.run import run as computed
+from studies.machine_kinds.swinging import KINDS, swinging
 
 MACHINES = ("backhoe", "knuckle_boom_crane", "wheel_loader", "forestry_crane", "scissor_lift", "mini_excavator")
 """Two swing cylinders; dual link; Z-bar; chained telescope, swinging grapple; loops in a chain; bucket linkage."""
@@ -19,7 +20,8 @@ SWINGING = ("rotator.", "sway.", "swing.")
 
 
 def run() -> dict:
-    return {key: value for name in MACHINES for key, value in coverage(name).items()}
+    kinds = {key: value for name in MACHINES for key, value in coverage(name).items()}
+    return kinds | {key: value for name in KINDS for key, value in swinging(name).items()}
 
 
 def quick() -> dict:

@@ -22,15 +22,20 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     compress_jointly,
     compressed,
 )
+from hydroopt.estimation.dynamic.residual_std import (
+    ForceProblem,
+    noise_of_angles,
+    residual_std,
+    rms_force,
+    smallest,
+)
 from hydroopt.estimation.dynamic.score_covariance import InMotion, SplitHalf, score_covariance
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
-from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
-from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
 
@@ -45,24 +50,12 @@ MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
 
 
-class ResidualProblem(InferenceProblem, Protocol):
+class ResidualProblem(ForceProblem, Protocol):
     """The part of a problem that weighting its residuals needs; attributes as of `IdentificationProblem`."""
-
-    @property
-    def model(self) -> Model:
-        """What predicts the forces."""
 
     @property
     def experiments(self) -> tuple[AnyExperiment, ...]:
         """Training data."""
-
-    @property
-    def force_std(self) -> Array:
-        """(n,) standard deviation of each actuator's force reading."""
-
-    @property
-    def reweight(self) -> bool:
-        """Whether it is estimated from the residuals."""
 
     @property
     def loss(self) -> Loss:
@@ -230,8 +223,8 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         names = ", ".join(e.log.path or e.log.name for e in experiments)
         raise IdentifiabilityError("no joint moves in the training logs, and they hold a single posture", where=names,
                                    remedy="record a log in which the joints move, or rest in several postures")
-    of_angles = _noise_of_angles(problem, folded, data)
-    sigma, weights = _sigma(problem, data, tolerance, of_angles), None
+    of_angles = noise_of_angles(problem, folded, data)
+    sigma, weights = residual_std(problem, data, tolerance, of_angles), None
     if problem.loss != "squares":
         data, sigma, weights, folded = _robust(problem, data, folded, sigma, point, of_angles)
     # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
@@ -244,7 +237,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()
-    least, wide = _smallest(_rms_force(problem, data)) if problem.reweight else sigma, sigma
+    least, wide = smallest(rms_force(problem, data)) if problem.reweight else sigma, sigma
     motion = InMotion(problem, folded, sigma, least)
     if np.any(holds.counts):
         wide = sigma * np.sqrt(motion.correlation_time)
@@ -342,52 +335,6 @@ def _refuse_impossible_postures(problem: ResidualProblem, data: CompressedRegres
 
 def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: float) -> Array:
     return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
-
-
-def _noise_of_angles(problem: ResidualProblem, folded: Sequence[ActuatorBands], data: CompressedRegressor) -> Array:
-    """Standard deviation (n,) that noise of angles gives the residuals of joints that nothing drives, 0 elsewhere.
-
-    It is that of the nominal parameters. Such residuals 0 − K·ψ vanish with ψ, so that those of a fit may say nothing.
-    """
-    squares, psi = np.zeros(len(data.samples)), problem.parameters.nominal
-    for one in folded:
-        squares[one.noisy] += np.einsum("i,fij,j->f", psi, one.noise, psi)
-    return np.asarray(np.sqrt(squares / np.maximum(data.samples, 1.0)))
-
-
-def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float, of_angles: Array) -> Array:
-    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit.
-
-    None is below that by noise of angles.
-    """
-    size = _rms_force(problem, data)
-    stated = np.where(of_angles > 0, of_angles, problem.force_std)
-    sigma = np.where(np.isfinite(stated), stated, 0.1 * size)
-    sigma = np.where(sigma > 0, sigma, 1.0)
-    if not problem.reweight:
-        return np.asarray(sigma)
-    floor = np.maximum(_smallest(size), of_angles)
-    for _ in range(3):
-        R, r, _ = data.weighted(sigma)
-        psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = np.maximum(data.samples - identifiable.rank / max(1, int(np.count_nonzero(data.samples))), 1.0)
-        estimated = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
-        sigma = np.where(data.samples > 0, estimated, sigma)  # as stated for actuators at rest
-    return np.asarray(sigma)
-
-
-def _rms_force(problem: ResidualProblem, data: CompressedRegressor) -> Array:
-    """Size (r,) of each measured force; where nothing acts, of the largest of the model's terms, which cancel there."""
-    total = np.linalg.norm(data.triangles[:, :, -1], axis=1)
-    terms = np.linalg.norm(data.triangles[:, :, :-1], axis=1) * np.abs(problem.parameters.nominal)
-    passive = np.array([not each.actuators for each in problem.model.machine.balances])
-    largest = np.max(terms, axis=1, initial=0.0)
-    return np.asarray(np.where(passive, largest, total) / np.sqrt(np.maximum(data.samples, 1.0)))
-
-
-def _smallest(size: Array) -> Array:
-    """Standard deviation (r,) of rounding errors of forces of this size (r,)."""
-    return 1e-11 * np.maximum(size, 1e-12)
 
 
 def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,
