@@ -40,7 +40,7 @@ def written(progress: Progress) -> None:
     Code(machine, origin, routines=["inverse_dynamics"]).files(progress)
 
 
-@pytest.mark.parametrize(("job", "steps"), [(planned, 11), (compared, 3), (compared_several, 4), (written, 4)])
+@pytest.mark.parametrize(("job", "steps"), [(planned, 12), (compared, 3), (compared_several, 4), (written, 4)])
 def test_the_part_that_is_done_grows_from_none_to_nearly_all(job: Callable[[Progress], None], steps: int) -> None:
     told: list[tuple[str, float | None]] = []
     job(lambda text, part=None, /: told.append((text, part)))

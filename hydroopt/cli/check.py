@@ -34,6 +34,8 @@ from hydroopt.cli.terminal import echo
 from hydroopt.errors import SolverError
 
 if TYPE_CHECKING:
+    from hydroopt.checks.motion import MotionCheck
+    from hydroopt.checks.postures import PostureCheck
     from hydroopt.estimation.dynamic.log_check import LogCheck
     from hydroopt.logs.any_log import AnyLog
     from hydroopt.machine.machine import Machine
@@ -56,27 +58,35 @@ def check(
 ) -> None:
     """Check logs before identifying, or motions before driving: what they determine, and which limits they break.
 
-    A log without forces is a motion: every limit that it uses or breaks is listed with time, place and amount. Ends
-    with exit code 3 if a log contradicts the machine file as it is read, or a motion breaks a limit.
+    A log without forces is a motion: every limit that it uses or breaks is listed with time, place and amount. Of a
+    table of poses, such as a plan's postures.csv, those that break a limit or use a reserve are named. Ends with exit
+    code 3 if a log contradicts the machine file as it is read, or a motion or a pose breaks a limit.
 
     Example: hydroopt check cat215b out/run/log.csv
     """
-    from hydroopt.checks.motion import MotionCheck, check_motion
+    from hydroopt.checks.motion import check_motion
+    from hydroopt.checks.postures import check_postures
     from hydroopt.estimation.dynamic.log_check import check_logs
     from hydroopt.excitation.motion.known import identified
     from hydroopt.logs.log_files import read_log
+    from hydroopt.logs.poses import is_pose_table, read_poses
     from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import load_machine
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     reserves = reserves_of(described, reserve or ())
-    found: LogCheck | MotionCheck
+    found: LogCheck | MotionCheck | PostureCheck
     with progress(f"checking {described.name}", quiet) as say:
         say("reading logs", 0.0)
-        read = reading(open_log, described, map_file, treat)(logs)
+        poses = all(is_pose_table(path) for path in logs)
+        read = [] if poses else reading(open_log, described, map_file, treat)(logs)
         say("smoothing and weighting", 0.2)
-        if not _have_forces(described, read):
+        if poses:
+            refuse_given({"--estimate": estimate, "--treat": treat, "--bandwidth": bandwidth},
+                         "these are poses, at rest", "leave it out, or give logs or motions")
+            found = check_postures(described, [read_poses(path, mapping=map_file) for path in logs], reserves=reserves)
+        elif not _have_forces(described, read):
             known = None if estimate is None else identified(described, estimate)
             found = check_motion(described, reading(read_log, described, map_file, treat)(logs), reserves=reserves,
                                  known=known)
@@ -88,9 +98,22 @@ def check(
             found = replace(check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described)),
                             options=tuple((option, str(value)) for option, value in given if value is not None))
         say("searching for faults", 0.6)
-        content = found.content(wall_s=time.perf_counter() - began)
-        if output is not None:
-            found.save(output, wall_s=content["wall_s"])
+    _answered(found, logs, output, began, quiet=quiet, as_json=as_json)
+
+
+def _answered(found: LogCheck | MotionCheck | PostureCheck, logs: Sequence[Path], output: Path | None, began: float, *,
+              quiet: bool, as_json: bool) -> None:
+    """Save and print what was found.
+
+    Raises:
+        SolverError: a log contradicts the machine file, or a motion or pose breaks a limit.
+    """
+    from hydroopt.checks.motion import MotionCheck
+    from hydroopt.checks.postures import PostureCheck
+
+    content = found.content(wall_s=time.perf_counter() - began)
+    if output is not None:
+        found.save(output, wall_s=content["wall_s"])
     if as_json:
         echo(json.dumps(content, indent=1))
     else:
@@ -101,6 +124,9 @@ def check(
             each.use.name for each in found.table if each.broken))):
         raise SolverError(f"the motion breaks {', '.join(broken)}", where=str(where),
                           remedy="drive it slower or over less range, or correct the limits in the machine file")
+    if isinstance(found, PostureCheck) and (wrong := [each.pose for each in found.poses if each.broken]):
+        raise SolverError(f"limits are broken in pose {', '.join(wrong)}", where=str(where),
+                          remedy="leave these poses out, or correct the limits in the machine file")
 
 
 def _have_forces(machine: Machine, logs: Sequence[AnyLog]) -> bool:

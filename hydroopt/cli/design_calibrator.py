@@ -17,10 +17,12 @@ from hydroopt.cli.options import (
     PosesEach,
     Priors,
     Quiet,
+    Reserve,
     Seed,
     Starts,
     parameter_values,
     progress,
+    reserves_of,
 )
 from hydroopt.errors import ProblemError
 
@@ -58,6 +60,7 @@ def design_calibrator(
         "The same of its twists and of the zeros of its sensors."))] = "0 deg",
     priors: Priors = True,
     fix: Fixed = None,
+    reserve: Reserve = None,
     starts: Starts = 3,
     effort: Annotated[float, typer.Option(min=0.01, help=(
         "Part of the usual number of random calibrators and steps; more searches longer."))] = 1.0,
@@ -82,7 +85,8 @@ def design_calibrator(
     problem = calibrator_problem(
         described, poses, length_std=_lengths(length_std or ()), links=_links(links),
         sensors=[_offer(text) for text in sensor or ()], link_cost=link_cost, keep=keep or (), workshop=workshop,
-        priors=priors, fixed=parameter_values(fix, pose_problem(described, 1).parameters) if fix else {})
+        priors=priors, reserves=reserves_of(described, reserve or ()),
+        fixed=parameter_values(fix, pose_problem(described, 1).parameters) if fix else {})
     with progress(f"designing a calibrator for {described.name}", quiet) as say:
         found = continued(design(problem, starts=starts, effort=effort, seed=seed, progress=say), output)
     found.save(output, pages={"report.html": render(found), "calibrator.svg": str(drawing(found))},

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 HARMONICS, BLEND = 10, 2.0
 """Of the Fourier series, and time [s] of its entry and exit, where nothing is given and the machine is fast enough."""
+PERIODS = 2.5
+"""Periods of a slow machine's bandwidth that entry and exit take: in 2 smoothing takes twice as much from them."""
 
 
 def excite(
@@ -55,7 +57,7 @@ def excite(
         help="Of the Fourier series; if not given 10, or as many as stay below half of the machine's bandwidth.",
         min=1)] = None,
     blend: Annotated[float | None, typer.Option(
-        help="Of the Fourier series' entry and of its exit [s]; if not given 2, or two periods of a slow machine.",
+        help="Of the Fourier series' entry and of its exit [s]; if not given 2, or 2.5 periods of a slow machine.",
         min=0.1)] = None,
     pieces: Annotated[int | None, typer.Option(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
@@ -150,7 +152,7 @@ def _basis(duration: float, pieces: int | None, period: float | None, harmonics:
     if pieces is not None:
         return Spline(duration, pieces)
     if blend is None:
-        blend = BLEND if bandwidth is None else max(BLEND, min(2 / bandwidth, duration / 4))
+        blend = BLEND if bandwidth is None else max(BLEND, min(PERIODS / bandwidth, duration / 4))
     left = duration - 2 * blend
     period = left if period is None else period
     if not 0 < period <= left * (1 + 1e-9):

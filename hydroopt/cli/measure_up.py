@@ -8,7 +8,19 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.answers import continued, print_answer
-from hydroopt.cli.options import AsJson, Directory, Fixed, MachineName, Quiet, Seed, SetUp, parameter_values, progress
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    Fixed,
+    MachineName,
+    Quiet,
+    Reserve,
+    Seed,
+    SetUp,
+    parameter_values,
+    progress,
+    reserves_of,
+)
 
 
 def measure_up(
@@ -18,6 +30,7 @@ def measure_up(
     minutes: Annotated[list[str] | None, typer.Option(metavar="NAME=MINUTES", help=(
         "What a reading takes, such as tape=3; 0 for one that needs no hand; repeatable."))] = None,
     setup: SetUp = None,
+    reserve: Reserve = None,
     fix: Fixed = None,
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -47,7 +60,7 @@ def measure_up(
                                remedy="write, for instance, --minutes tape=3") from None
     with progress(f"planning a measure-up of {described.name}", quiet) as say:
         problem = measure_up_problem(described, to_si(tip_std, "m", where="--tip-std"), minutes=spent,
-                                     setups=setup or ("",))
+                                     setups=setup or ("",), reserves=reserves_of(described, reserve or ()))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.poses.parameters))
         plan = continued(fewest_readings(problem, seed=seed, progress=say), output)

@@ -17,10 +17,12 @@ from hydroopt.cli.options import (
     PosesEach,
     Priors,
     Quiet,
+    Reserve,
     Seed,
     SetUp,
     parameter_values,
     progress,
+    reserves_of,
 )
 
 
@@ -35,6 +37,7 @@ def plan_poses(
     priors: Priors = False,
     fix: Fixed = None,
     setup: SetUp = None,
+    reserve: Reserve = None,
     candidates: Annotated[int, typer.Option(
         help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
     seed: Seed = 0,
@@ -54,7 +57,8 @@ def plan_poses(
     described = load_machine(machine)
     with progress(f"choosing poses for {described.name}", quiet) as say:
         problem = pose_problem(described, poses, stages=stage or None, criterion=criterion, focus=focus or (),
-                               priors=priors, setups=setup or ("",))
+                               priors=priors, setups=setup or ("",),
+                               reserves=reserves_of(described, reserve or ()))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
         plan = continued(fedorov_exchange(problem, candidates=candidates, seed=seed, progress=say), output)

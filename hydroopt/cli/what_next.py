@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.answers import continued, print_answer
-from hydroopt.cli.options import AsJson, Directory, MachineName, MotionFile, Quiet, Seed, progress
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    MachineName,
+    MotionFile,
+    Quiet,
+    Reserve,
+    Seed,
+    progress,
+    reserves_of,
+)
 
 
 def what_next(
@@ -36,6 +46,7 @@ def what_next(
     base_tilt: Annotated[str, typer.Option(help=(
         "Standard deviation by which the base may be off the roll and pitch of the machine file."))] = "0 deg",
     budget: Annotated[float | None, typer.Option(help="Minutes that may be spent.", min=0.0)] = None,
+    reserve: Reserve = None,
     least: Annotated[str, typer.Option(help="Gain per minute below which to stop.")] = "0.1 %",
     seed: Seed = 0,
     quiet: Quiet = False,
@@ -76,7 +87,8 @@ def what_next(
             machine, answers or (), targets=targets,
             task=None if motion is None else reference_motion(described, read_log(motion)),
             motions=[reference_motion(described, read_log(each)) for each in trajectory or ()], minutes=spent,
-            without=without or (), base_tilt=to_si(base_tilt, "rad", where="--base-tilt"), seed=seed)
+            without=without or (), base_tilt=to_si(base_tilt, "rad", where="--base-tilt"), seed=seed,
+            reserves=reserves_of(described, reserve or ()))
         plan = plan_next(problem, minutes=float("inf") if budget is None else budget,
                          least=to_si(least, "1", where="--least"), progress=say)
     plan = continued(plan, output)

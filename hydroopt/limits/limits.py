@@ -9,7 +9,7 @@ value that it keeps with the reserves' certainty.
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -39,7 +39,8 @@ WATCHED = 0.5
 class Row(NamedTuple):
     """A limited quantity: name, unit, bounds, and the scale by which its values are divided.
 
-    Values below `floor` do not occur on the machine and count as `floor`.
+    Values below `floor` do not occur on the machine and count as `floor`. `low` names the link or strut whose height
+    above ground it is, and `passive` tells that it is what a passive joint leaves without balance.
     """
 
     name: str
@@ -48,6 +49,8 @@ class Row(NamedTuple):
     upper: float
     scale: float
     floor: float = -np.inf
+    low: str = ""
+    passive: bool = False
 
 
 class Limits:
@@ -123,16 +126,16 @@ class Limits:
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
-    def _worst(self, value: ca.SX, together: int = 1) -> tuple[ca.SX, ca.SX]:
-        """Mean (m,) of expressions that are linear in ψ, and by how much they exceed it at most (m,), so many of them
-        together."""
+    def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Mean (m,) of expressions that are linear in ψ, and by how much each of them exceeds it at most (m,)."""
         mean, std = self.known.of(value, self._psi)
-        return mean, self.reserves.deviations(together) * std
+        return mean, self.reserves.deviations() * std
 
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
-             scale: float | None = None, floor: float = -np.inf) -> None:
+             scale: float | None = None, floor: float = -np.inf, **of: Any) -> None:
         sizes = [abs(bound) for bound in (lower, upper) if np.isfinite(bound) and bound]
-        self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
+        self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor, **of),
+                              value))
 
     def _joints(self) -> None:
         machine, states = self.model.machine, self.model.coordinates
@@ -228,7 +231,7 @@ class Limits:
                 for end in (part.end,) if part.link else (part.start, part.end):
                     if _varies(end[2], self.model.coordinates.q):
                         self._add(f"{part.name} above ground", "m", end[2] - part.radius,
-                                  machine.ground + reserves.clearance, scale=1.0)
+                                  machine.ground + reserves.clearance, scale=1.0, low=part.name)
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.SX(ca.DM(obstacle.centre)) if pose is None else pose.point(ca.DM(obstacle.centre))
@@ -265,9 +268,9 @@ class Limits:
             body_force = motion.pose.rotation @ wrench[:3]
             force += body_force
             moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, body_force)
-        weight = -machine.footprint.mass * ca.DM(gravity_in_base(machine))
-        force += weight
-        moment += ca.cross(ca.DM(machine.footprint.com), weight)
+        down, chassis = ca.DM(gravity_in_base(machine)), ca.SX.sym("chassis", 4)
+        force -= chassis[0] * down
+        moment -= ca.cross(chassis[1:], down)
         corners = [np.array([*corner, machine.ground]) for corner in machine.footprint.corners]
         total = machine.gravity * (machine.footprint.mass + sum(
             self.known.mean[columns[owner].start] for owner in columns)) or 1.0
@@ -283,8 +286,11 @@ class Limits:
         moving = ca.vertcat(*restoring)
         # a motion that keeps both keeps them at any slower pace: what it adds grows with the square of the pace
         stopped = ca.substitute(moving, ca.vertcat(*self.model.coordinates[1:]), ca.DM.zeros(2 * len(machine.joints)))
+        of_chassis = UncertainParameters.chassis(machine)
         for value in (moving, stopped):
-            mean, more = self._worst(value, len(corners))
+            mean, by_bodies = self.known.of(value, self._psi)
+            mean, by_chassis = of_chassis.of(mean, chassis)
+            more = self.reserves.deviations(len(corners)) * ca.sqrt(by_bodies**2 + by_chassis**2)
             for k, reserve in enumerate(reserves):
                 self._add(f"tipping over edge {k + 1}", "N*m", mean[k] - more[k], float(reserve), scale=total)
 
@@ -293,7 +299,8 @@ class Limits:
         for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
                                       hanging.tolerance if hanging.joints else (), strict=True):
             name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most)
+            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most,
+                      passive=True)
 
 
 def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:

@@ -7,6 +7,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from hydroopt.machine.environment import CHASSIS
+from hydroopt.machine.links import Note
+from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -36,6 +39,22 @@ class UncertainParameters(NamedTuple):
         if known.size:
             root[known] = np.linalg.cholesky(np.linalg.inv(information[np.ix_(known, known)]))
         return cls(model.parameters.nominal, root)
+
+    @classmethod
+    def chassis(cls, machine: Machine) -> UncertainParameters:
+        """Mass and first moment (4,) [kg, kg·m] of the chassis on the footprint, to first order in what is uncertain.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> UncertainParameters.chassis(load_machine("cat215b")).mean.tolist()
+        [6500.0, 0.0, 0.0, -7800.0]
+        """
+        assert machine.footprint is not None
+        mass, com = machine.footprint.mass, np.array(machine.footprint.com)
+        off = [machine.notes.get(path, Note()).spread(*numbers) or 0.0
+               for path, numbers in zip(CHASSIS, ((mass,), machine.footprint.com), strict=True)]
+        root = np.diag([off[0], *3 * [mass * off[1]]])
+        root[1:, 0] = off[0] * com
+        return cls(np.array([mass, *mass * com]), root)
 
     def of(self, value: ca.SX, psi: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Mean and standard deviation of expressions (m,) that are linear in ψ about the mean."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
-from hydroopt.logs.column_headers import map_of_header
+from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
@@ -26,6 +27,8 @@ __all__ = ["LogMap", "Poses", "joined", "read_map", "read_pose_files", "read_pos
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.str_]
+HEADER = 2**16
+"""Longest header [bytes] of a table of text."""
 _LABELS = ("stage", "fixture", "pose", "tape", "setup")
 
 
@@ -211,6 +214,21 @@ def joined(parts: Sequence[Poses]) -> Poses:
         row=np.concatenate([part.row for part in parts]),
         file=np.concatenate([part.file for part in parts]),
         sha256={path: digest for part in parts for path, digest in part.sha256.items()})
+
+
+def is_pose_table(path: str | Path) -> bool:
+    """Whether the header of a file has labels of poses and no time; False for what cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            line = file.readline(HEADER)
+        if line.isascii() and b"\0" not in line:
+            names = {parts_of(cell.strip(' "\r\n'))[0] for cell in re.split("[,;\t]", line.decode())}
+        else:
+            with open_files([str(path)], None) as source:
+                names = {parts_of(cell)[0] for cell in source.sheets[0].content.header}
+    except (OSError, LogError):
+        return False
+    return "t" not in names and bool(names & {"stage", "fixture", "pose"})
 
 
 def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) -> Poses:

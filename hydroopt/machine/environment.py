@@ -20,6 +20,9 @@ from hydroopt.machine.quantity import (
     refuse_inverted,
 )
 
+CHASSIS = ("footprint.mass", "footprint.com")
+"""Paths of the chassis's numbers, whose `sigma` counts in what keeps the machine from tipping over."""
+
 
 class Pump(Noun):
     """The supply that all actuators share.
@@ -79,7 +82,10 @@ class Obstacle(Noun):
 
 
 class Footprint(Noun):
-    """What the machine stands on, and the chassis that keeps it from tipping over."""
+    """What the machine stands on, and the chassis that keeps it from tipping over.
+
+    The chassis counts as exact where no `sigma` of its mass and of its centre of mass is stated.
+    """
 
     corners: tuple[tuple[Length, Length], ...] = Field(min_length=3)
     """Corners (x, y) of tracks or outriggers in the base frame, at ground height."""

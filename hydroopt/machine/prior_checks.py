@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
+from hydroopt.machine.environment import CHASSIS
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.machine.quantity import ImpossibleError
@@ -42,6 +43,7 @@ def _further_calibrated(machine: Machine) -> Iterator[str]:
             yield from (f"{body}.com", f"{body}.inertia_com")
     yield from (f"{distance.name}.length" for distance in machine.distances)
     yield from (f"{total.name}.value" for total in machine.total_masses)
+    yield from CHASSIS
     for stage in machine.stages:
         yield from (f"{stage.name}.locked.{joint}" for joint in stage.locked)
     yield from machine.lags

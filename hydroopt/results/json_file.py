@@ -47,6 +47,7 @@ class Job(StrEnum):
     CONTROL = "comparison of controllers"
     CHECK = "check of logs"
     MOTION_CHECK = "check of motions"
+    POSTURE_CHECK = "check of poses"
 
 
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.SENSORS: "estimate.json",
@@ -56,7 +57,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.NEXT: "next.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
-         Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json"}
+         Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json", Job.POSTURE_CHECK: "check.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")

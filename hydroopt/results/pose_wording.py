@@ -18,6 +18,18 @@ POSE_WORDS: dict[Kind, Words] = {
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",
         "Fix them, add priors, or add poses and sensors that depend on them."),
+    Kind.POSES_BREAK_LIMIT: Words(
+        "{subject} is beyond its limit in pose {poses}.",
+        "Leave these poses out, or correct the limit in the machine file."),
+    Kind.POSES_USE_RESERVE: Words(
+        "{subject} has less than its reserve in pose {poses}.",
+        "Leave these poses out, or state the reserve that suffices with --reserve."),
+    Kind.POSES_NOT_JUDGED: Words(
+        "Limits are not judged in pose {poses}, of which the table does not state all joints.",
+        "Fill in their positions, or give the postures.csv of the plan."),
+    Kind.WAYS_USE_RESERVE: Words(
+        "Straight ways between poses use a reserve of {subject}: {ways}.",
+        "Drive one joint after another there, away from what is close."),
     Kind.POSES_LEFT_OUT: Words(
         "{count} poses were left out because they contradict the others, which makes the fit look better than the "
         "measurement was: {where}."),

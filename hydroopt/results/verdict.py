@@ -35,6 +35,7 @@ class Purpose(StrEnum):
     CHANGES = "changes between sessions"
     LOAD = "the load"
     DRIVING = "driving this motion"
+    DRIVING_TO = "driving to these poses"
 
 
 class Usable(StrEnum):

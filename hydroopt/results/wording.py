@@ -83,6 +83,10 @@ class Kind(StrEnum):
     NOT_LIMITED = "not limited"
     LIMIT_BROKEN = "limit broken"
     RESERVE_USED = "reserve used"
+    POSES_BREAK_LIMIT = "poses break limit"
+    POSES_USE_RESERVE = "poses use reserve"
+    POSES_NOT_JUDGED = "poses not judged"
+    WAYS_USE_RESERVE = "ways use reserve"
     NO_FORCE_ACCURACY = "no accuracy of forces stated"
     NO_ANGLE_ACCURACY = "no accuracy of angles stated"
     SMOOTHING_BIAS = "bias by smoothing"
@@ -229,7 +233,7 @@ CONTRADICTIONS = OF_LOGS | {
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
-    Kind.INTERVALS_TOO_NARROW, Kind.SCALE_CONTRADICTED, Kind.LIMIT_BROKEN}
+    Kind.INTERVALS_TOO_NARROW, Kind.SCALE_CONTRADICTED, Kind.LIMIT_BROKEN, Kind.POSES_BREAK_LIMIT}
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.NO_VALIDATION: Words(

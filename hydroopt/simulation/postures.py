@@ -142,7 +142,8 @@ def measured_channels(model: KinematicModel) -> tuple[str, ...]:
 def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
                     turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
                     fixture: Held | None, batch: int, give_up: Callable[[int, int], bool],
-                    within_strokes: Array | None = None, touch: str = "") -> tuple[Array, int]:
+                    within_strokes: Array | None = None, touch: str = "",
+                    sieve: Callable[[Array, Array], Array] | None = None) -> tuple[Array, int]:
     """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
 
     Args:
@@ -158,6 +159,7 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         within_strokes: (p,) standard deviations of the geometry, if the cylinders must be within their strokes also
             where it is `REACHED` of them off, but never more than `RESERVE` of a stroke away from its ends.
         touch: datum and target that meet, ``floor.tooth``; '' for none.
+        sieve: leaves of closed postures (N, n) at the geometry (p,) those that are wanted (K, n).
 
     Returns:
         The postures and how many were tried.
@@ -180,7 +182,8 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
             spread = np.sqrt(np.sum((by_geometry * within_strokes) ** 2, axis=2))
             reserve = np.minimum(REACHED * spread, RESERVE * stroke)
             usable &= np.all((out[:, :, 0] >= reserve) & (out[:, :, 0] <= stroke - reserve), axis=1)
-        found, tried = np.concatenate([found, q[usable]]), tried + batch
+        q = q[usable]
+        found, tried = np.concatenate([found, q if sieve is None else sieve(q, geometry)]), tried + batch
     return found[:count], tried
 
 

@@ -13,6 +13,7 @@ from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
 from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
 from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, calibration_of, pose_problem
+from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
@@ -101,14 +102,15 @@ def taken_of(plan: MeasureUpPlan, channel: str) -> np.ndarray:
 
 def run() -> dict:
     """Readings for the accuracy that swings give, and errors of drawn machines over the planned deviation."""
-    machine = load_machine(MACHINE)
+    # the swings ask neither for ground nor for strength, and neither do the plans that they are compared with
+    machine = load_machine(MACHINE).model_copy(update={"ground": None})
     alone, result = edge_alone(machine), {}
     problem = pose_problem(alone, 1, priors=True)
     for steps in STEPS:
         q = swings(problem, steps)
         target, name = tip_std(alone, q), f"{len(q)}_swings"
-        plan = fewest_readings(measure_up_problem(machine, tip=target))
-        own = fewest_readings(measure_up_problem(alone, tip=target))
+        plan = fewest_readings(measure_up_problem(machine, tip=target, reserves=Reserves.none()))
+        own = fewest_readings(measure_up_problem(alone, tip=target, reserves=Reserves.none()))
         error, coverage = achieved(plan, machine, machine)
         wider, _ = achieved(plan, machine, twice_as_far_off())
         result |= {f"tip_mm_{name}": round(1e3 * target, 1), f"readings_{name}": plan.count,

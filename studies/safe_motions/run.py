@@ -8,7 +8,7 @@ import numpy as np
 
 from studies.safe_motions.parts import Outcome, outcomes
 
-SETTINGS, CORES, EACH = 1000, 2, 10
+FIRST, SETTINGS, CORES, EACH = 20000, 1000, 2, 10
 ROUNDING = 0.002
 """Distance [m] by which points on lines and instants between samples of the controller may miss a clearance."""
 
@@ -16,8 +16,8 @@ ROUNDING = 0.002
 def run() -> dict:
     """How many motions break what."""
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
-        return summed([one for part in pool.map(outcomes, [range(k, k + EACH) for k in range(0, SETTINGS, EACH)])
-                       for one in part])
+        parts = [range(k, k + EACH) for k in range(FIRST, FIRST + SETTINGS, EACH)]
+        return summed([one for part in pool.map(outcomes, parts) for one in part])
 
 
 def summed(found: list[Outcome]) -> dict:

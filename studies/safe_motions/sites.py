@@ -1,4 +1,4 @@
-"""Random machines on random sites: drawn masses, slopes, footprints, obstacles, pumps and valves."""
+"""Random machines on random sites: drawn masses, uncertain chassis, slopes, footprints, obstacles, pumps and valves."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from hydroopt import Machine, load_machine
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.machine.environment import Footprint, Obstacle, Pump
+from hydroopt.machine.links import Note
 
 BASES = ("cat215b", "cat215b", "cat215b", "tampere_manipulator", "tampere_manipulator", "knuckle_boom_crane")
 STEEPEST = np.radians(6.0)
@@ -42,6 +43,9 @@ def random_site(rng: np.random.Generator) -> Machine:
     update["cylinders"] = tuple(
         each.model_copy(update={"relief_pressure": float(rng.uniform(1.2e7, 4e7))}) if rng.random() < 0.5 else each
         for each in machine.cylinders)
+    off, aside = rng.uniform(0.0, 0.1), rng.uniform(0.0, 0.15)
+    update["notes"] = machine.notes | {"footprint.mass": Note(sigma=float(off), relative=True),
+                                       "footprint.com": Note(sigma=float(aside))}
     return machine.model_copy(update=update)
 
 

@@ -35,6 +35,10 @@ class Witness:
         count = FINER * (len(path.t) - 1) + 1
         self.t = np.linspace(path.t[0] + STEP, path.t[-1] - STEP, count)
         self.psi = self._draws()
+        foot, notes = self.machine.footprint, self.machine.notes
+        # the chassis is as uncertain as the file states, independently of the bodies
+        self.mass = foot.mass * (1 + notes["footprint.mass"].sigma * rng.standard_normal(DRAWS))
+        self.com = np.array(foot.com) + notes["footprint.com"].sigma * rng.standard_normal((DRAWS, 3))
 
     def _draws(self) -> np.ndarray:
         """(DRAWS, p) parameters by the file's confidences, bodies possible wherever that is not too rare."""
@@ -77,7 +81,7 @@ class Witness:
             for k, (corner, along) in enumerate(zip(corners, edges, strict=True)):
                 columns = self._columns(at[1][..., 3] - corner, pushed, rotated, turned, along)
                 holding[..., k] = np.einsum("tbi,dbi->dt", columns, phi)
-                holding[..., k] += along @ np.cross(np.array(foot.com) - corner, -foot.mass * down)
+                holding[..., k] += ((np.cross(self.com - corner, -self.mass[:, None] * down)) @ along)[:, None]
             found.append(holding)
         middle = corners.mean(axis=0)
         arms = np.array([np.cross(along, middle - corner)[2] for corner, along in zip(corners, edges, strict=True)])

@@ -19,8 +19,11 @@ from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
+TRIED, ROUNDING = 3, 1e-9
+"""Random geometries and postures at which readings are looked at, and the derivative by a joint that counts as none."""
 EXACT = 1e-6
 """Standard deviation [m] of a distance between fixtures that states none."""
 SCALES = {"x": ("m", 0.1), "y": ("m", 0.1), "z": ("m", 0.1), "rx": ("rad", 0.1), "ry": ("rad", 0.1), "rz": ("rad", 0.1)}
@@ -104,9 +107,7 @@ class LayoutBuilder:
         self.place = np.full((count, model.place_size), -1)
         self.given = np.zeros((count, model.place_size))
         self.held = np.zeros(count, dtype=bool)
-        pattern = model.observed_jacobians.sparsity_out(2)
-        self.depends = np.zeros(pattern.shape, dtype=bool)
-        self.depends[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
+        self.depends = depends(model)
         self._channels()
         self._fixtures()
         self._tapes()
@@ -371,3 +372,16 @@ class LayoutBuilder:
                     sigmas.append((note and note.spread(distance.length)) or EXACT)
         return FixtureDistances(tuple(names), np.array(ends, dtype=int).reshape(-1, 2, 3), np.array(lengths),
                                 np.array(sigmas))
+
+
+def depends(model: KinematicModel) -> NDArray[np.bool_]:
+    """(m, n) which readings depend on which joints at geometries that the stated confidences allow: those of an
+    inclinometer do not depend on a joint about the vertical."""
+    pattern = model.observed_jacobians.sparsity_out(2)
+    stated = np.zeros(pattern.shape, dtype=bool)
+    stated[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
+    rng, (low, high) = np.random.default_rng(0), postures.limits(model)
+    geometry = model.parameters.nominal + model.parameters.scale * rng.standard_normal((TRIED, len(model.parameters)))
+    by_q = model.over(model.observed_jacobians, geometry, rng.uniform(low, high, (TRIED, len(low))),
+                      rng.standard_normal((TRIED, model.place_size)))[2]
+    return np.asarray(stated & ~np.all(np.abs(by_q) < ROUNDING, axis=0))

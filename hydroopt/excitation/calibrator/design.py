@@ -15,7 +15,7 @@ from hydroopt.excitation.calibrator.construction import Construction, SensorOffe
 from hydroopt.excitation.calibrator.problem import CalibratorProblem
 from hydroopt.excitation.calibrator.program import Sized
 from hydroopt.excitation.calibrator.search import Search
-from hydroopt.excitation.poses.exchange import best_poses, lengths
+from hydroopt.excitation.poses.exchange import best_poses, lengths, ordered
 from hydroopt.excitation.poses.problem import PoseProblem, linearised, pose_problem
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -82,7 +82,7 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
 def search_of(problem: CalibratorProblem, construction: Construction) -> Search:
     """The sizes of one of its constructions."""
     return Search(problem.machine, construction, problem.workshop, problem.keep, problem.length_std, problem.count,
-                  problem.fixed, problem.priors)
+                  problem.fixed, problem.priors, problem.reserves)
 
 
 def _tried(problem: CalibratorProblem, construction: Construction, sized: Sized) -> Tried:
@@ -124,18 +124,20 @@ def planned(problem: CalibratorProblem, construction: Construction, sized: Sized
         return None
     machine = carrying(problem.machine, construction, values, problem.workshop, problem.keep)
     base = pose_problem(machine, problem.count, criterion="A", focus=tuple(problem.length_std), priors=problem.priors,
-                        fixed={name: values.get(name, value) for name, value in problem.fixed.items()})
+                        fixed={name: values.get(name, value) for name, value in problem.fixed.items()},
+                        reserves=problem.reserves)
     q = np.array([_in_order(base, k, each[:least]) for k, each in enumerate(found)])
     shares = search.program.shares(values, q, 400)
     units = {name: target / math.sqrt(max(float(weight), 1e-6))
              for (name, target), weight in zip(problem.length_std.items(), shares.weight, strict=True)}
     drifts = any(group.drift for group in base.groups)  # these depend on the order, too
     chosen, log_det = best_poses(base, q, units=units)
-    labels, chosen_q = base.labels(problem.count), q[chosen]
+    labels = base.labels(problem.count)
+    chosen_q, log_det = ordered(base, q[chosen], log_det, units)
     return CalibratorDesign(
         base, least, seed, labels, chosen_q, lengths(base.model, chosen_q),
-        observability(*linearised(base, chosen_q, labels)), log_det, construction, values, problem.workshop,
-        problem.length_std, problem.least, problem.cost(construction), tried,
+        observability(*linearised(base, chosen_q, labels)), log_det, search.left_out, construction, values,
+        problem.workshop, problem.length_std, problem.least, problem.cost(construction), tried,
         math.nan if drifts else math.sqrt(shares.bound))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.calibrator.construction import BRACKET, Construction, SensorOffer, Workshop
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -41,6 +42,7 @@ class CalibratorProblem(Shown):
         keep: links of the machine's own calibrator that belong to the machine, such as a grapple.
         priors: whether the machine file's confidences count as measurements.
         fixed: parameters that are held, with their values [SI].
+        reserves: that each posture keeps of the machine's limits; the calibrator's joints keep its clearance, too.
 
     >>> import hydroopt
     >>> hydroopt.calibrator_problem(hydroopt.load_machine("cat215b"), 40, length_std=2e-3, keep=("grapple_swing",))
@@ -58,6 +60,7 @@ class CalibratorProblem(Shown):
     least: bool = False
     priors: bool = True
     fixed: Mapping[str, float] = field(default_factory=dict)
+    reserves: Reserves = DEFAULT
 
     def constructions(self) -> Iterator[tuple[float, Construction]]:
         """Kinds of calibrators with one kind of sensor, with their cost, the cheapest first; which axes cross is left
@@ -106,14 +109,16 @@ class CalibratorProblem(Shown):
             f"  {self.count} postures of each stage",
             "minimise", "  the largest deviation" if self.least else
             f"  cost: {self.link_cost:g} for a link, and its sensor",
-            "subject to", "  each posture closes its loop", "  limits of joints and strokes, height above ground",
+            "subject to", "  each posture closes its loop", "  limits of joints and strokes",
+            "  reserves of the machine's other limits",
             "  no singular pose of the calibrator"])
 
 
 def calibrator_problem(machine: GivenMachine, count: int, *, length_std: float | Mapping[str, float] | None = None,
                        links: tuple[int, int] = (FEWEST, MOST), sensors: Sequence[SensorOffer] = (),
                        link_cost: float = 1.0, keep: Sequence[str] = (), workshop: Workshop | None = None,
-                       priors: bool = True, fixed: Mapping[str, float] | None = None) -> CalibratorProblem:
+                       priors: bool = True, fixed: Mapping[str, float] | None = None,
+                       reserves: Reserves = DEFAULT) -> CalibratorProblem:
     """Which calibrator to build for a machine, with which poses.
 
     Args:
@@ -130,6 +135,7 @@ def calibrator_problem(machine: GivenMachine, count: int, *, length_std: float |
             a ball within 1 m of its fixture and above ground.
         priors: whether the machine file's confidences count as measurements.
         fixed: values [SI] of parameters that are held.
+        reserves: that each posture keeps of the machine's limits.
 
     Raises:
         ProblemError: the machine states no calibrator or fixture, there is no such length or link, or a number is not
@@ -167,7 +173,7 @@ def calibrator_problem(machine: GivenMachine, count: int, *, length_std: float |
     _refuse(machine, count, link_cost, chosen, workshop)
     asked = _asked(machine, length_std, dict(fixed or {}))
     return CalibratorProblem(machine, count, asked, (low, high), chosen, workshop, link_cost,
-                             tuple(keep), length_std is None, priors, dict(fixed or {}))
+                             tuple(keep), length_std is None, priors, dict(fixed or {}), reserves.checked())
 
 
 def _refuse(machine: Machine, count: int, link_cost: float, sensors: Sequence[SensorOffer], workshop: Workshop) -> None:

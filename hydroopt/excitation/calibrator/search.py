@@ -9,7 +9,10 @@ import numpy as np
 
 from hydroopt.excitation.calibrator.construction import BRACKET, Construction, Workshop, carrying, fixture_of, sizes
 from hydroopt.excitation.calibrator.program import STEPS, JointProgram, Sized
+from hydroopt.excitation.poses.exchange import Sieve
 from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, pose_problem
+from hydroopt.limits.postures import LeftOut
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.progress import Progress
 from hydroopt.simulation import postures
@@ -41,10 +44,12 @@ class Search:
         workshop: ranges of sizes, and their errors.
         keep: links of the machine's own calibrator that stay.
         program: sizes and poses as a nonlinear program.
+        left_out: closed postures that were left out so far to keep reserves.
     """
 
     def __init__(self, machine: Machine, construction: Construction, workshop: Workshop, keep: Sequence[str],
-                 targets: Mapping[str, float], count: int, fixed: Mapping[str, float], priors: bool) -> None:
+                 targets: Mapping[str, float], count: int, fixed: Mapping[str, float], priors: bool,
+                 reserves: Reserves = DEFAULT) -> None:
         self.machine, self.construction, self.workshop, self.keep = machine, construction, workshop, tuple(keep)
         self.sizes = tuple(sizes(construction, workshop, fixture_of(machine)))
         middle = {size.name: (size.lower + size.upper) / 2 for size in self.sizes}
@@ -54,12 +59,14 @@ class Search:
         template = carrying(machine, construction, middle, uncertain, keep)
         exact = {"m": not workshop.length_error, "rad": not workshop.angle_error}
         made = (BRACKET, *construction.names)
-        problem = pose_problem(template, count, priors=priors, fixed=fixed)
+        problem = pose_problem(template, count, priors=priors, fixed=fixed, reserves=reserves)
         held = {name: float(value) for name, unit, value in zip(
             problem.parameters.names, problem.parameters.units, problem.parameters.nominal, strict=True)
             if name.partition(".")[0] in made and exact[unit]}
         self.problem: PoseProblem = replace(problem, fixed={**held, **fixed})
-        self.program = JointProgram(self.problem, self.sizes, dict(targets), workshop.clearance)
+        self.program = JointProgram(self.problem, self.sizes, dict(targets),
+                                    max(workshop.clearance, reserves.clearance))
+        self.left_out = LeftOut()
         self.twists = tuple(f"{name}.alpha" for name in made[:-1])
 
     def best(self, starts: int, rng: np.random.Generator, progress: Progress, done: tuple[float, float],
@@ -114,7 +121,17 @@ class Search:
                 model, 8 * count, rng, geometry=geometry, turning=turning, within_limits=free,
                 locked=group.locked, fixture=np.array([values[f"{fixture}.{axis}"] for axis in "xyz"]),
                 batch=4 * count, give_up=lambda closed, tried: tried >= 8 * count)
-            found.append(q[self.program.fits(values, q, free, aside)][:count] if len(q) else q)
+            found.append(self._fitting(values, group, q, aside)[:count])
+        return found
+
+    def _fitting(self, values: Mapping[str, float], group: PoseGroup, q: Array, aside: float) -> Array:
+        """Of closed postures (N, n) of a group those (K, n) within all limits and their reserves."""
+        if not len(q):
+            return q
+        sieve = Sieve(self.problem.limits, group)
+        found = sieve(q[self.program.fits(values, q, self._free(group), aside)],
+                      self.program.theta(values)[: len(self.problem.model.parameters)])
+        self.left_out = self.left_out.with_more(sieve.left_out)
         return found
 
     def _free(self, group: PoseGroup) -> list[int]:
@@ -148,8 +165,7 @@ class Search:
         geometry = self.program.theta(values)[: len(model.parameters)]
         place = np.array([values[f"{fixture}.{axis}"] for axis in "xyz"])
         closed, good = postures.close(model, geometry, q, postures.sensed_joints(model), place)
-        closed = closed[good]
-        return closed[self.program.fits(values, closed, self._free(group), aside)] if len(closed) else closed
+        return self._fitting(values, group, closed[good], aside)
 
     def about(self, sized: Sized, count: int, rng: np.random.Generator) -> list[Array]:
         """Closed postures (K, n) of each group about those of a design, of each so many of `count` as its share says:

@@ -152,13 +152,29 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         stopped = interrupted()
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
-        return _as_it_swings(Excitation(problem, min(moving, key=lambda each: each[1])[0], seed, starts, stopped),
-                             at_rest)
+        best_first = [Excitation(problem, x, seed, starts, stopped)
+                      for x, _ in sorted(moving, key=lambda each: each[1])]
+        return _as_it_swings(_least_smoothed(best_first), at_rest)
     if stopped:
         raise KeyboardInterrupt
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
                        "tried, however small", where="excitation",
                        remedy="correct these limits in the machine file, keep smaller reserves, or give more time")
+
+
+def _least_smoothed(found: Sequence[Excitation]) -> Excitation:
+    """The first, which is the best by the criterion; or, where smoothing takes more from it than noise adds, the one of
+    which noise and smoothing together leave the parameters known best (the geometric mean of their errors)."""
+    def error(each: Excitation) -> float:
+        places = list(each.problem.parameters.focus) or slice(None)
+        try:
+            return float(np.sum(np.log(each.accuracy.base[places] ** 2 + each.accuracy.bias[places] ** 2)))
+        except ProblemError:  # too slow to identify anything
+            return np.inf
+
+    first = found[0]
+    biased = len(found) > 1 and (error(first) == np.inf or np.any(first.accuracy.bias > first.accuracy.base))
+    return min(found, key=error) if biased else first
 
 
 def at_pace(found: Excitation, pace: float) -> Excitation:

@@ -179,7 +179,8 @@ class WhatNext(Answer):
                 "steps": [entry(step) for step in self.steps],
                 "alternatives": [entry(step) for step in self.alternatives],
                 "stopped": self.stopped, "most_minutes": number(self.minutes), "least_gain_per_minute": self.least,
-                "seed": self.problem.seed}
+                "seed": self.problem.seed, "reserves": self.problem.reserves._asdict(),
+                "left_out": self.problem.left_out._asdict()}
 
     def files(self) -> Mapping[str, str]:
         """The sheet, the postures of the next measurement, and the table of numbers."""
@@ -204,6 +205,8 @@ class WhatNext(Answer):
     def sheet(self) -> str:
         """What to do, step by step, as plain text."""
         text = [f"What to measure next of {self.machine_name}: {self.spent:.0f} min, until {self.stopped}."]
+        if self.problem.left_out.drawn:
+            text.append(self.problem.left_out.sentence)
         for k, step in enumerate(self.steps, start=1):
             text += ["", f"{k}. {self.described(step)}", f"   {self._gain(k)}"]
             if k == 1 and step.measurement.labels is not None:

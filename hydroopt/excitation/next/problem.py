@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Never
 
@@ -26,8 +26,10 @@ from hydroopt.excitation.next.measurements import (
 )
 from hydroopt.excitation.poses.exchange import candidate_postures
 from hydroopt.excitation.poses.posture_readings import FAINT_INFORMATION, PostureReadings, tip_rows
-from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
+from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem, pose_problem
 from hydroopt.excitation.poses.readings import Reading, readings
+from hydroopt.limits.postures import LeftOut
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -64,6 +66,7 @@ class WhatNextProblem(Shown):
         without: measurements that cannot be taken.
         base_tilt: standard deviation [rad] of the base's roll and pitch; 0 where it stands as the file says.
         candidates: random postures of each group to choose from, drawn with `seed`.
+        reserves: that postures keep of the machine's limits.
 
     See `what_next_problem`.
     """
@@ -78,6 +81,16 @@ class WhatNextProblem(Shown):
     base_tilt: float = 0.0
     candidates: int = 600
     seed: int = 0
+    reserves: Reserves = DEFAULT
+
+    @property
+    def left_out(self) -> LeftOut:
+        """Random postures that were left out to keep reserves, of all that `measurements` has drawn."""
+        return reduce(LeftOut.with_more, self._sieved, LeftOut())
+
+    @cached_property
+    def _sieved(self) -> list[LeftOut]:
+        return []
 
     @cached_property
     def model(self) -> Model:
@@ -141,6 +154,10 @@ class WhatNextProblem(Shown):
                                        "'tip'", remedy="state a 'sigma' for lengths, angles and pins that may be off")
                 postures = self.postures[0]
                 rows = tip_rows(postures.calibration)[:, postures.free]
+                if not np.any(rows):
+                    raise ProblemError("the machine file states the tip as exact at known joint positions",
+                                       where="target of 'tip'", remedy="state a 'sigma' for lengths and angles of "
+                                       "links that may be off, or ask for --force-std, --load-std or --mass-std")
                 task = np.zeros((len(rows), p))
                 task[:, : rows.shape[1]] = rows
                 found.append(LinearGoal(Purpose.POSITION, "tip", "m", target, task))
@@ -183,25 +200,31 @@ class WhatNextProblem(Shown):
         if not len(self.chain.parameters):
             return None
         try:
-            poses = pose_problem(self.equipped, 1, priors=True)
+            poses = pose_problem(self.equipped, 1, priors=True, reserves=self.reserves)
             channels = poses.channels
+            rng = np.random.default_rng(self.seed)
+            drawn = [self._candidates(poses, group, rng) for group in poses.groups]
         except ProblemError:
             if "tip" in self.targets:
                 raise
             return None
-        rng = np.random.default_rng(self.seed)
-        q = np.concatenate([candidate_postures(poses, group, self.candidates, rng) for group in poses.groups])
         labels, read = poses.labels(self.candidates), readings(poses.model, channels)
-        return PostureReadings(poses, read, q, labels), read, labels
+        return PostureReadings(poses, read, np.concatenate(drawn), labels), read, labels
+
+    def _candidates(self, poses: PoseProblem, group: PoseGroup, rng: np.random.Generator) -> Array:
+        q, left_out = candidate_postures(poses, group, self.candidates, rng)
+        self._sieved.append(left_out)
+        return q
 
     def _without_calibrator(self) -> Iterator[Measurement]:
         """What is added to a machine whose calibrator sits in a fixture in all poses that it states."""
         own, joints = self.equipped.calibrator, self.chain.joints
         poses = pose_problem(self.equipped.model_copy(update={
             "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
-            "distances": tuple(each for each in self.equipped.distances if each.measured)}), 1, priors=True)
+            "distances": tuple(each for each in self.equipped.distances if each.measured)}), 1, priors=True,
+            reserves=self.reserves)
         rng, added = np.random.default_rng(self.seed), {each.name: each for each in self.additions}
-        q, labels = candidate_postures(poses, poses.groups[0], self.candidates, rng), poses.labels(self.candidates)
+        q, labels = self._candidates(poses, poses.groups[0], rng), poses.labels(self.candidates)
         read = readings(poses.model, poses.channels)
         there = PostureReadings(poses, read, q, labels)
         numbers = [self._geometry_names.index(name) for name in there.names]
@@ -270,7 +293,8 @@ class WhatNextProblem(Shown):
 def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (), *,
                       targets: Mapping[str, float] | None = None, task: Trajectory | None = None,
                       motions: Sequence[Trajectory] = (), minutes: Mapping[str, float] | None = None,
-                      without: Sequence[str] = (), base_tilt: float = 0.0, seed: int = 0) -> WhatNextProblem:
+                      without: Sequence[str] = (), base_tilt: float = 0.0, seed: int = 0,
+                      reserves: Reserves = DEFAULT) -> WhatNextProblem:
     """What to measure next of a machine, by what is known of it so far.
 
     Args:
@@ -287,6 +311,7 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
         without: measurements that cannot be taken, by name.
         base_tilt: standard deviation [rad] by which the base may be off the roll and pitch that the file states.
         seed: of the postures to choose from.
+        reserves: that these keep of the machine's limits.
 
     Raises:
         ProblemError: a target or duration is wrong, or there is no such answer or measurement.
@@ -323,4 +348,4 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
                                      for k in range(MOTIONS))
     task = random_trajectory(machine, duration=DURATION, rate=TASK_RATE, seed=TASK) if task is None else task
     return WhatNextProblem(machine, tuple(folders), targets, task, driven, dict(minutes or {}),
-                           tuple(without), base_tilt, seed=seed)
+                           tuple(without), base_tilt, seed=seed, reserves=reserves.checked())

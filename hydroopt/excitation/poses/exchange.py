@@ -3,7 +3,7 @@
 Of many random closed postures those are chosen that are best by one of the criteria that also serve motions: D, A or E
 of the covariance of all parameters or of those in focus, or the condition number. All stages share their parameters and
 are chosen together. Directions that no posture identifies (ball.y with the locked swing of the CAT 215B) are projected
-out. Collisions are not modelled. Section 5.3 of the thesis leaves pose planning open.
+out. All postures keep the reserves of the machine's limits. Section 5.3 of the thesis leaves pose planning open.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.observability import SHARE, Linearised, Observability, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.excitation.poses.order import in_passes, in_safe_order
 from hydroopt.excitation.poses.plan import PosePlan
-from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, linearised
+from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, linearised, measured_along
+from hydroopt.limits.postures import LeftOut, PostureLimits
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.progress import Progress, silent
 from hydroopt.simulation import postures
@@ -29,10 +31,14 @@ HELPS = 1e-9
 """Relative gain of the criterion from which on an exchange of two poses helps."""
 PROMISING = 64
 """Candidates whose eigenvalues are computed."""
-TRIES = 30
-"""Random postures of which at least one must close within all limits."""
-DRAWN, CHOSEN = 0.4, 0.6
-"""Parts of the work that are done once postures are drawn, and once the first poses are chosen."""
+TRIES, RARE = 30, 200
+"""Random postures of which at least one must close within its limits; of those that close one must keep the reserves.
+"""
+DRAWN, CHOSEN, EXCHANGED = 0.4, 0.6, 0.95
+"""Parts of the work that are done once postures are drawn, once the first poses are chosen, and once none is exchanged.
+"""
+PASSES = (2, 3, 4, 6, 8)
+"""Ways there or back that are tried where locked joints drift."""
 BATCH = 500
 """Random postures tried at once, at least."""
 
@@ -58,15 +64,19 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         raise ProblemError(f"{count} poses cannot be chosen from {candidates} candidates", where="pose plan",
                            remedy="ask for fewer poses or more candidates")
     rng = np.random.default_rng(seed)
-    drawn = []
+    drawn, left_out = [], LeftOut()
     for k, group in enumerate(groups):
         progress(f"drawing postures for {group}", DRAWN * k / len(groups))
-        drawn.append(candidate_postures(problem, group, candidates, rng))
+        postures_of_group, out = candidate_postures(problem, group, candidates, rng)
+        drawn.append(postures_of_group)
+        left_out = left_out.with_more(out)
     found = np.array(drawn)
     chosen, log_det = best_poses(problem, found, progress)
-    q, labels = found[chosen], problem.labels(count)
+    progress("finding the order of measuring", EXCHANGED)
+    labels = problem.labels(count)
+    q, log_det = ordered(problem, found[chosen], log_det)
     return PosePlan(problem, candidates, seed, labels, q, lengths(model, q),
-                    observability(*linearised(problem, q, labels)), log_det)
+                    observability(*linearised(problem, q, labels)), log_det, left_out)
 
 
 def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
@@ -83,22 +93,54 @@ def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
     return chosen, design.log_det(chosen)
 
 
+def ordered(problem: PoseProblem, q: Array, log_det: float,
+            units: Mapping[str, float] | None = None) -> tuple[Array, float]:
+    """Chosen postures (G·count, n) in a better order of measuring, and the logarithm of the determinant, given that of
+    the present order.
+
+    Where locked joints drift, they are driven through there and back as often as serves the criterion best. Elsewhere
+    as few straight moves as possible use a reserve.
+    """
+    groups = np.reshape(q, (len(problem.groups), -1, q.shape[1]))
+    drifting = [k for k, group in enumerate(problem.groups) if group.drift]
+    first = [measured_along(problem.model, group) for group in problem.groups]
+    best = groups.copy()
+    for k, group in enumerate(problem.groups):
+        if not group.drift:
+            best[k] = groups[k][in_safe_order(problem.limits, group, groups[k])]
+    if drifting:
+        labels, tried = problem.labels(groups.shape[1]), []
+        for count in PASSES:
+            for k in drifting:
+                best[k] = groups[k][in_passes(groups[k][:, first[k]], count)]
+            design = _Design(*linearised(problem, np.concatenate(best), labels), problem.criterion, problem.focus,
+                             len(groups), units)
+            whole = np.ones(groups.shape[:2], dtype=bool)
+            tried.append((design.value(whole), design.log_det(whole), best.copy()))
+        _, log_det, best = min(tried, key=lambda each: each[0])
+    return np.concatenate(best), log_det
+
+
 def lengths(model: KinematicModel, q: Array) -> Array:
     """(N, c) of all cylinders [m]."""
     return model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
 
 
-def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
-    """Random closed postures (count, n) within the limits of joints and strokes, in the order of measuring.
+def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
+                       rng: np.random.Generator) -> tuple[Array, LeftOut]:
+    """Random closed postures (count, n) within all limits and their reserves, in the order of measuring, and how many
+    reserves have left out.
 
     They stay away from the ends of strokes as far as the uncertain geometry may shift these, so that the machine
     reaches them.
 
-    That order is the moving joint's, else that of the first joint that is read, so that there is little driving. Where
-    locked joints drift, every second posture waits for the way back: otherwise drift and moving joint could not be
-    separated.
+    That order is that of `measured_along`, so that there is little driving. Where locked joints drift, every second
+    posture waits for the way back: otherwise drift and moving joint could not be separated.
+
+    Raises:
+        ProblemError: too few postures close, or keep the reserves.
     """
-    model = problem.model
+    model, sieve = problem.model, Sieve(problem.limits, group)
     sigma = np.where([name in problem.fixed for name in model.parameters.names], 0.0, model.parameters.scale)
     moving = [model.joints.index(joint) for joint in dict.fromkeys((*group.moves, *model.machine.base_joints))
               if joint not in group.locked]
@@ -111,13 +153,38 @@ def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int, rng: 
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
         locked=group.locked, fixture=fixture, touch=group.touch, within_strokes=sigma, batch=batch,
-        give_up=lambda found, tried: tried > 3 * batch and found * TRIES < tried)
+        sieve=sieve, give_up=lambda found, tried: tried > 3 * batch and (
+            sieve.left_out.drawn * TRIES < tried or found * RARE < sieve.left_out.drawn))
+    if len(found) < count and len(found) * RARE < sieve.left_out.drawn:
+        raise ProblemError(f"only {len(found)} of {sieve.left_out.drawn} random postures that close keep the reserves; "
+                           f"left out by {sieve.left_out.limits}", where=f"{group}",
+                           remedy="lock joints elsewhere, or move the fixture or the machine, or keep smaller reserves "
+                           "with --reserve")
     if len(found) < count:
         raise ProblemError(f"only {len(found)} of {tried} random postures close within their limits",
                            where=f"{group}", remedy="move the fixture, widen limits and strokes, or lock joints "
                            "elsewhere")
-    order = np.argsort(found[:, (moving + turning or [0])[0]], kind="stable")
-    return np.asarray(found[np.concatenate([order[::2], order[1::2][::-1]]) if group.drift else order])
+    order = in_passes(found[:, measured_along(model, group)], 2 if group.drift else 1)
+    return np.asarray(found[order]), sieve.left_out
+
+
+class Sieve:
+    """Lets postures of a group pass that keep the reserves, passive joints hanging, and counts the others."""
+
+    def __init__(self, limits: PostureLimits, group: PoseGroup) -> None:
+        self.limits, self.left_out = limits, LeftOut()
+        self.held, self.closed = group.held(limits.machine), group.closed(limits.machine)
+
+    def __call__(self, q: Array, geometry: Array) -> Array:
+        """Of postures (N, n) those (K, n) that keep them."""
+        if not len(q):
+            return q
+        q = q if self.closed else self.limits.hung(q)
+        broken = self.limits.broken(q, held=self.held, closed=self.closed, geometry=geometry)
+        out = np.any([*broken.values(), np.zeros(len(q), dtype=bool)], axis=0)
+        counts = {name: int(np.sum(each)) for name, each in broken.items() if np.any(each)}
+        self.left_out = self.left_out.with_more(LeftOut(len(q), int(np.sum(out)), counts))
+        return np.asarray(q[~out])
 
 
 class _Design:
@@ -169,6 +236,18 @@ class _Design:
     def log_det(self, chosen: NDArray[np.bool_]) -> float:
         """Of the scaled information."""
         return float(np.linalg.slogdet(self.information(chosen))[1]) + self.offset
+
+    def value(self, chosen: NDArray[np.bool_]) -> float:
+        """The criterion of chosen candidates (G, C); less is better."""
+        if not len(self.focus):
+            return -self.log_det(chosen)
+        size = np.linalg.eigvalsh(self.focus @ np.linalg.solve(self.information(chosen), self.focus.T))
+        match self.criterion:
+            case "A":
+                return float(np.sum(size))
+            case "D":
+                return float(np.sum(np.log(np.maximum(size, 1e-300))))
+        return float(size[-1] / (max(size[0], 1e-300) if self.criterion == "condition" else 1.0))
 
     def score(self, information: Array, group: int, pose: int = 0) -> Array:
         """Criterion (C,), up to a constant, after each candidate of a group is added to an information (r, r).

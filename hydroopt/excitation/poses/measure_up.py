@@ -23,6 +23,8 @@ from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
 from hydroopt.excitation.poses.posture_readings import PostureReadings, gains, tip_rows
 from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, pose_problem
 from hydroopt.excitation.poses.readings import DRIVE, Reading, readings
+from hydroopt.limits.postures import LeftOut
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.notebook_card import Shown
@@ -106,12 +108,13 @@ class MeasureUpProblem(Shown):
             f"measure-up of {self.machine.name}: tip to {1e3 * self.tip:.3g} mm",
             "minimise the minutes of", *(f"  {each}" for each in self.readings if each.by_hand),
             f"  {DRIVE:g} min for each posture",
-            "subject to", "  limits of joints and strokes",
+            "subject to", "  limits of joints and strokes", "  reserves of the machine's other limits",
             "  the tip's standard deviation, root mean square over the workspace"])
 
 
 def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[str, float] | None = None,
-                       fixed: Mapping[str, float] | None = None, setups: Sequence[str] = ("",)) -> MeasureUpProblem:
+                       fixed: Mapping[str, float] | None = None, setups: Sequence[str] = ("",),
+                       reserves: Reserves = DEFAULT) -> MeasureUpProblem:
     """Which readings to take by hand for a machine's calibration.
 
     Args:
@@ -121,6 +124,7 @@ def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[st
         minutes: what a reading takes, by its name, such as ``{"tape": 3.0}``; 0 for one that needs no hand.
         fixed: values [SI] of parameters that are held.
         setups: names of the set-ups in which instruments of unknown pose stand.
+        reserves: that each posture keeps of the machine's limits.
 
     Raises:
         ProblemError: the machine states no reading by hand, there is no such reading, or the accuracy is no length.
@@ -148,7 +152,7 @@ def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[st
     if not (np.isfinite(tip) and tip > 0):
         raise ProblemError(f"the accuracy {tip:g} m of the tip is not positive", where="tip",
                            remedy="give a positive length")
-    poses = pose_problem(machine, 1, priors=True, fixed=fixed, setups=setups)
+    poses = pose_problem(machine, 1, priors=True, fixed=fixed, setups=setups, reserves=reserves)
     problem = MeasureUpProblem(poses, tip, dict(minutes or {}))
     known = {each.name: each for each in problem.readings}
     for name, spent in problem.minutes.items():
@@ -182,10 +186,12 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
         ProblemError: no posture lies within the limits, or no choice reaches the accuracy.
     """
     groups, rng = problem.poses.groups, np.random.default_rng(seed)
-    drawn = []
+    drawn, left_out = [], LeftOut()
     for k, group in enumerate(groups):
         progress(f"drawing postures for {group}", 0.2 * k / len(groups))
-        drawn.append(candidate_postures(problem.poses, group, candidates, rng))
+        found_here, out = candidate_postures(problem.poses, group, candidates, rng)
+        drawn.append(found_here)
+        left_out = left_out.with_more(out)
     q, labels = np.concatenate(drawn), problem.poses.labels(candidates)
     choice = _Choice(problem, q, labels)
     if choice.before <= problem.tip:
@@ -203,7 +209,7 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
             "readings, or fewer uncertain numbers")
     _, choice.chosen, choice.information = min(found, key=lambda each: each[0])
     choice.polish(progress)
-    return choice.plan(candidates, seed)
+    return choice.plan(candidates, seed, left_out)
 
 
 class _Choice:
@@ -357,7 +363,7 @@ class _Choice:
                 if k % 3 == 2:
                     return
 
-    def plan(self, candidates: int, seed: int) -> MeasureUpPlan:
+    def plan(self, candidates: int, seed: int, left_out: LeftOut) -> MeasureUpPlan:
         """The plan of what is chosen."""
         places = np.flatnonzero(self.chosen.any(axis=1))
         read = self.chosen[places]
@@ -372,5 +378,5 @@ class _Choice:
         lengths = model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
         log_det = float(np.linalg.slogdet(self.information * np.outer(self.scale, self.scale))[1])
         return MeasureUpPlan(self.problem.poses, candidates, seed, labels, q, lengths, identified, log_det,
-                             self.problem.readings, read, kept.poses, self.problem.tip,
+                             left_out, self.problem.readings, read, kept.poses, self.problem.tip,
                              float(np.sqrt(self.variance())), self.before)

@@ -95,6 +95,7 @@ class MeasureUpPlan(PosePlan):
         """The measuring sheet as plain text: where to drive, what to read there, and what to expect."""
         text = [f"{self.count} readings in {len(self.q)} postures for {self.machine.name}: about {self.minutes:.0f} "
                 f"min. The tip is then known to {readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
+        text += ["", self.left_out.sentence, self.ways]
         read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]
         printed = {joint: self._printed(joint) for joint in read}
         before: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ import numpy as np
 
 from hydroopt.estimation.kinematic.observability import Observability
 from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
+from hydroopt.limits.postures import LeftOut
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
@@ -35,6 +36,7 @@ class PosePlan(Answer):
         q: (N, n) joint vectors [rad, m]; `lengths` (N, c) of all cylinders [m].
         observability: which parameters these poses identify, and how well.
         log_det: logarithm of the determinant of the scaled information over the identifiable directions.
+        left_out: random postures that were left out to keep reserves.
 
     >>> import hydroopt
     >>> problem = hydroopt.pose_problem(hydroopt.load_machine("cat215b"), 5, fixed={"ball.y": 0.0})
@@ -55,6 +57,7 @@ class PosePlan(Answer):
     lengths: Array
     observability: Observability
     log_det: float
+    left_out: LeftOut
 
     job = Job.POSE_PLAN
 
@@ -85,9 +88,14 @@ class PosePlan(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Parameters that these poses do not identify."""
+        """Parameters that these poses do not identify, and ways between them that use a reserve."""
         lost = tuple(name for name, std in zip(self.names, self.std, strict=True) if not np.isfinite(std))
-        return (Diagnostic(Kind.NOT_IDENTIFIED_BY_POSES, lost),) if lost else ()
+        found: tuple[Diagnostic, ...] = (Diagnostic(Kind.NOT_IDENTIFIED_BY_POSES, lost),) if lost else ()
+        if self.detours:
+            limits = tuple(dict.fromkeys(name for names in self.detours.values() for name in names))
+            ways = ", ".join(f"{k - 1} to {k}" for k in self.detours)
+            found += (Diagnostic(Kind.WAYS_USE_RESERVE, limits, {"ways": ways}),)
+        return found
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -146,6 +154,28 @@ class PosePlan(Answer):
         """(f,) standard deviations to expect [SI], infinite where these poses do not identify a parameter."""
         return self.observability.std
 
+    @cached_property
+    def detours(self) -> Mapping[int, tuple[str, ...]]:
+        """Poses to which joints must not all go straight from the one before, counted from 1, and the limits of the
+        machine whose reserves that would use."""
+        limits, found = self.problem.limits, dict[int, tuple[str, ...]]()
+        groups = [next(group for group in self.problem.groups if group.has(*(str(each[k]) for each in self.labels)))
+                  for k in range(len(self.q))]
+        held, closed = ([getattr(group, key)(self.machine) for group in groups] for key in ("held", "closed"))
+        for k in range(1, len(self.q)):
+            same = groups[k] is groups[k - 1]
+            if used := limits.move(self.q[k - 1], self.q[k], held=(held[k - 1], held[k]), closed=closed[k] and same):
+                found[k + 1] = used
+        return found
+
+    @property
+    def ways(self) -> str:
+        """How to drive from pose to pose, in words."""
+        if not self.detours:
+            return "From pose to pose all joints may go straight: the machine keeps its reserves on the way."
+        return ("All joints may go straight from pose to pose, but for these ways, which use a reserve: " + "; ".join(
+            f"{k - 1} to {k} ({', '.join(names)})" for k, names in self.detours.items()) + ".")
+
     @property
     def postures(self) -> Poses:
         """All joint angles as a table of poses, those that no sensor reads too, and which datums are touched: where to
@@ -178,7 +208,9 @@ class PosePlan(Answer):
                 "priors": self.problem.priors, "fixed": dict(self.problem.fixed), "candidates": self.candidates,
                 "seed": self.seed, "condition_number": number(self.observability.condition_number),
                 "noise_amplification_index": number(self.observability.noise_amplification_index),
-                "log_det": number(self.log_det)}
+                "log_det": number(self.log_det), "reserves": self.problem.reserves._asdict(),
+                "left_out": self.left_out._asdict(),
+                "detours": [{"to": k, "limits": list(names)} for k, names in self.detours.items()]}
 
     def files(self) -> Mapping[str, str]:
         """Measuring sheet, table of poses to fill in, postures to drive to, and table of parameters."""
@@ -187,7 +219,7 @@ class PosePlan(Answer):
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: what to lock, what to move where, and the readings to expect."""
-        text = [f"{len(self.q)} poses for {self.machine.name}"]
+        text = [f"{len(self.q)} poses for {self.machine.name}", "", self.left_out.sentence, self.ways]
         for at, group in enumerate(self.problem.groups):
             rows = at * self.problem.count + np.arange(self.problem.count)
             columns: dict[str, list[str]] = {}

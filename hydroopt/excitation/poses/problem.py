@@ -14,6 +14,8 @@ from hydroopt.estimation.inference.listing import named_row, table
 from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.excitation.criteria import refuse_criterion
+from hydroopt.limits.postures import PostureLimits, held_link
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.logs.poses import Texts
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
@@ -46,6 +48,20 @@ class PoseGroup(NamedTuple):
     setup: str = ""
     touch: str = ""
 
+    def has(self, stage: str, fixture: str, setup: str, touch: str) -> bool:
+        """Whether poses with these labels belong to it; those that touch nothing belong to any touch."""
+        return (self.stage, self.fixture, self.setup) == (stage, fixture, setup) and touch in ("", self.touch)
+
+    def held(self, machine: Machine) -> str:
+        """The link that a fixture or a datum holds at the ground; '' if none is."""
+        return held_link(machine, self.fixture, self.touch)
+
+    def closed(self, machine: Machine) -> bool:
+        """Whether something holds the tip, or the stage a passive joint, which else hangs."""
+        stated = (*self.moves, *self.locked)
+        return bool(self.fixture or self.touch) or any(
+            name in stated and machine.link(name).joint.passive for name in machine.joints)
+
     def __str__(self) -> str:
         named = (("stage", self.stage), ("fixture", self.fixture), ("set-up", self.setup), ("touching", self.touch))
         return ", ".join(f"{kind} '{name}'" for kind, name in named if name) or "open chain"
@@ -75,6 +91,7 @@ class PoseProblem(Shown):
         focus: parameters to which the criterion is restricted; all if empty.
         priors: whether the machine file's confidences count as measurements.
         fixed: parameters that are held, with their values [SI]; the plan is made at the nominal values.
+        reserves: that each posture keeps of the machine's limits.
 
     >>> import hydroopt
     >>> problem = hydroopt.pose_problem(hydroopt.load_machine("cat215b"), 10, fixed={"ball.y": 0.0})
@@ -96,6 +113,12 @@ use hydroopt.solve.
     focus: tuple[str, ...] = ()
     priors: bool = False
     fixed: Mapping[str, float] = field(default_factory=dict)
+    reserves: Reserves = DEFAULT
+
+    @cached_property
+    def limits(self) -> PostureLimits:
+        """What each posture keeps."""
+        return PostureLimits(self.model, self.reserves)
 
     @cached_property
     def model(self) -> KinematicModel:
@@ -165,14 +188,14 @@ use hydroopt.solve.
             "variables", *(f"  {self.count} postures of {group}" for group in self.groups),
             f"minimise {OBJECTIVES[self.criterion]}{what}",
             "subject to", "  each posture closes its loop and is chosen once", "  limits of joints and strokes",
-            f"measured channels: {', '.join(self.channels)}",
+            "  reserves of the machine's other limits", f"measured channels: {', '.join(self.channels)}",
             "parameters", *table(("name", "unit", "prior std", ""), rows)])
 
 
 def pose_problem(machine: GivenMachine, count: int, *, stages: Sequence[str] | None = None,
                  criterion: str | None = None, focus: Sequence[str] = (), priors: bool = False,
-                 fixed: Mapping[str, float] | None = None,
-                 setups: Sequence[str] = ("",)) -> PoseProblem:
+                 fixed: Mapping[str, float] | None = None, setups: Sequence[str] = ("",),
+                 reserves: Reserves = DEFAULT) -> PoseProblem:
     """Which poses to measure for a machine's calibration, planned about the geometry of its file.
 
     Args:
@@ -185,6 +208,7 @@ def pose_problem(machine: GivenMachine, count: int, *, stages: Sequence[str] | N
         priors: whether the machine file's confidences count as measurements.
         fixed: values [SI] of parameters that are held.
         setups: names of the set-ups in which instruments of unknown pose stand; each stage is measured in all of them.
+        reserves: that each posture keeps of the machine's limits.
 
     Raises:
         ProblemError: no calibrator, no sensor, or an unknown stage, criterion or parameter.
@@ -199,7 +223,7 @@ def pose_problem(machine: GivenMachine, count: int, *, stages: Sequence[str] | N
     criterion = criterion or ("A" if focus else "D")
     refuse_criterion(criterion, focus)
     problem = PoseProblem(machine, count, _groups(machine, stages, setups), criterion, tuple(focus), priors,
-                          dict(fixed or {}))
+                          dict(fixed or {}), reserves.checked())
     if count < 1:
         raise ProblemError(f"{count} poses cannot be planned", where="pose plan", remedy="ask for at least one pose")
     problem.parameters.select(problem.focus)  # refuses unknown names
@@ -232,6 +256,14 @@ def calibration_of(problem: PoseProblem, q: Array, labels: PoseLabels) -> Calibr
         model, q, labels.stage.tolist(), labels.fixture.tolist(), geometry=model.parameters.nominal,
         channels=problem.channels, seed=None, name="plan", setup=labels.setup.tolist(), touch=labels.touch.tolist())
     return calibration_problem(model.machine, poses, fixed=problem.fixed, priors=problem.priors)
+
+
+def measured_along(model: KinematicModel, group: PoseGroup) -> int:
+    """Place in q of the joint along which a group's postures are measured one after another: the one that moves, else
+    the first that is read."""
+    moving = [joint for joint in (*group.moves, *model.machine.base_joints) if joint not in group.locked]
+    read = [k for k in postures.read_joints(model) if model.joints[k] not in group.locked]
+    return next(iter([*map(model.joints.index, moving), *read]), 0)
 
 
 def _groups(machine: Machine, stages: Sequence[str] | None, setups: Sequence[str]) -> tuple[PoseGroup, ...]:

@@ -10,11 +10,12 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.pose_layout import depends
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.simulation import postures
@@ -139,3 +140,15 @@ def test_a_rocker_without_a_stated_accuracy_is_refused() -> None:
     unstated = surveyed("excavator_bucket", *LENGTHS, *TIP)
     with pytest.raises(ProblemError, match=r"the accuracy of 'rocker.q' is not stated.*state a sensor"):
         calibration_problem(unstated.machine, table(model, model.parameters.nominal, None))
+
+
+@pytest.mark.parametrize(("roll", "matters"), [("0 deg", False), ("3 deg", True)])
+def test_inclination_depends_on_a_joint_unless_it_is_vertical(roll: str, matters: bool) -> None:
+    machine = read_machine(f'based_on = "excavator_imu"\norientation = ["{roll}", "0 deg", "0 deg"]')
+    model = KinematicModel(machine)
+    found = depends(model)
+    rows = [k for k, name in enumerate(model.channels) if name.startswith("stick_imu.accel")]
+    swing, boom, bucket = (model.joints.index(name) for name in ("swing", "boom", "bucket"))
+    assert found[rows, swing].any() == matters
+    assert found[rows, boom].any()
+    assert not found[rows, bucket].any()

@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydroopt import Model, load_machine
+from hydroopt import Model, excitation_problem, load_machine
+from hydroopt.cli.excite import _basis
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.excitation.motion.design import design
+from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy, measured_information
+from hydroopt.excitation.motion.random_motion import shrunk
 from hydroopt.logs import spline
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, simulate
@@ -191,3 +195,22 @@ def test_machines_without_joint_sensors_have_an_expected_accuracy() -> None:
     known = np.isfinite(said.base)
     assert np.mean(known) > 0.5
     assert np.all(said.after <= said.before * (1 + 1e-9))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", [20.0, 33.0])
+def test_a_slow_machine_is_known_better_than_by_multisines_with_what_smoothing_takes(duration: float) -> None:
+    """Noise and bias together, median over base parameters, against ten multisines in the middle of the range."""
+    machine = load_machine("patu655_lift")
+    problem = excitation_problem(machine, _basis(duration, None, None, None, None, machine.bandwidth))
+    found = design(problem, starts=4)
+
+    def error(motion: Excitation) -> np.ndarray:
+        return np.hypot(motion.accuracy.base, motion.accuracy.bias)
+
+    still, rng = problem.posture(problem.mean), np.random.default_rng(0)
+    for _ in range(10):
+        phase = dict(zip(range(1, problem.basis.harmonics + 1), rng.uniform(0, 2 * np.pi, 20), strict=False))
+        wave = np.array([0.0 if name == "mean" else 3 * (np.sin if name[:3] == "sin" else np.cos)(phase[int(name[3:])])
+                         for name in problem.basis.names])
+        assert np.median(error(Excitation(problem, shrunk(problem, still + wave, still))) / error(found)) > 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -17,6 +18,7 @@ from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design, excitation_problem, random_motion, resting_posture
+from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.limits.limits import Limits
@@ -106,8 +108,15 @@ def test_same_seed_gives_the_same_motion() -> None:
 
 def test_more_starts_are_never_worse() -> None:
     of = program(LIFT, SWINGING)
-    values = [design(of, starts=starts).value for starts in (1, 2, 4)]
-    assert values[0] >= values[1] >= values[2]
+    found = [design(of, starts=starts) for starts in (1, 2, 4)]
+
+    def error(one: Excitation) -> float:
+        return float(np.sum(np.log(np.hypot(one.accuracy.base, one.accuracy.bias))))
+
+    # by the criterion, or, where smoothing takes more than noise adds, by both together
+    for few, more in pairwise(found):
+        smoothed = np.any(few.accuracy.bias > few.accuracy.base)
+        assert more.value <= few.value or (smoothed and error(more) <= error(few))
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)

@@ -280,3 +280,14 @@ def test_a_machine_whose_poses_all_hold_the_calibrator_is_taped_without_it() -> 
     plan = plan_next(replace(problem, without=tuple(only)), minutes=20.0, least=0.0)
     assert plan.files()["postures.csv"].startswith("stage,fixture,pose,swing.q [rad],boom.q [rad],stick.q [rad]\n")
     assert "nan" not in plan.sheet()
+
+
+@pytest.mark.slow
+def test_machines_with_inclination_alone_need_no_sensor_at_a_vertical_joint() -> None:
+    with pytest.raises(ProblemError, match="states the tip as exact at known joint positions; state a 'sigma'"):
+        ho.solve(ho.what_next_problem("excavator_imu", targets={"tip": 0.02}))
+    machine = ho.read_machine('based_on = "excavator_imu"\n[[links]]\nname = "boom"\n'
+                                    'joint = { a = { value = "6.2354 m", sigma = "15 mm" } }')
+    plan = ho.solve(ho.what_next_problem(machine, targets={"tip": 0.008}))
+    assert plan.steps[0].measurement.name == "pins_boom"
+    assert plan.stds[-1, 0] < 0.008 < plan.stds[0, 0]

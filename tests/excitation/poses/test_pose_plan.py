@@ -10,7 +10,8 @@ from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import joint
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.excitation.poses.exchange import fedorov_exchange
+from hydroopt.excitation.poses.exchange import PASSES, fedorov_exchange
+from hydroopt.excitation.poses.order import in_passes
 from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.calibration_chain import Tracker
@@ -199,12 +200,21 @@ def test_priors_count_if_wanted():
 @pytest.mark.slow
 def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
     creeping = plan_poses(CREEPING, 15, candidates=200, fixed=FIXED)
+    ways = []
     for stage in CREEPING.stages:
         angle = creeping.q[creeping.stage == stage.name, MODEL.joints.index(stage.moves[0])]
-        turn = int(np.argmax(angle))
-        assert np.all(np.diff(angle[: turn + 1]) >= 0)
-        assert np.all(np.diff(angle[turn:]) <= 0)
-        assert 3 < turn < 11
+        ways.append(1 + int(np.sum(np.diff(np.sign(np.diff(angle))) != 0)))
+        order = np.argsort(angle)
+        back = [np.concatenate([order[k::count][:: -1 if k % 2 else 1] for k in range(count)]) for count in PASSES]
+        assert any(np.array_equal(each, np.arange(15)) for each in back)
+    assert len(set(ways)) == 1
+    # no other number of ways there and back serves the criterion better
+    groups = creeping.q.reshape(3, 15, -1)
+    first = [MODEL.joints.index(stage.moves[0]) for stage in CREEPING.stages]
+    for count in PASSES:
+        q = np.concatenate([each[in_passes(each[:, k], count)] for each, k in zip(groups, first, strict=True)])
+        other = expected_uncertainty(CREEPING, q, creeping.stage, creeping.fixture, fixed=FIXED)
+        assert log_det(other) < log_det(creeping.observability) + 1e-3
     one_way = expected_uncertainty(CREEPING, plan.q, plan.stage, plan.fixture, fixed=FIXED)
     k, j = one_way.names.index("stick.a"), plan.names.index("stick.a")
     assert one_way.std[k] > 1.5 * creeping.std[k] > 1.5 * plan.std[j]
@@ -213,10 +223,11 @@ def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
 def test_sheet_states_what_to_do(plan):
     sheet = plan.sheet()
     parts = sheet.split("\n\n")
-    assert parts[1].splitlines() == ["stage 'stick_moves', fixture 'ball'",
+    assert parts[1].splitlines() == [plan.left_out.sentence, plan.ways]
+    assert parts[2].splitlines() == ["stage 'stick_moves', fixture 'ball'",
                                      "  lock: swing at 0.0 deg, boom at -27.8 deg, grapple_swing at 42.9 deg",
                                      "  move: stick"]
-    title, *rows = parts[4].splitlines()
+    title, *rows = parts[5].splitlines()
     assert " ".join(title.split()) == ("pose boom [deg] boom_cylinder [mm] grapple [deg] yoke [deg] upper_arm [deg] "
                                        "forearm [deg]")
     values = np.array([row.split() for row in rows], dtype=float)
@@ -224,7 +235,7 @@ def test_sheet_states_what_to_do(plan):
     np.testing.assert_array_equal(values[:, 0], np.flatnonzero(own) + 1)
     np.testing.assert_allclose(values[:, 2], 1e3 * plan.lengths[own, 0], atol=0.5)
     np.testing.assert_allclose(values[:, [1, 3, 4, 5, 6]], np.degrees(plan.q[own][:, [1, 4, 5, 6, 7]]), atol=0.0501)
-    assert "cylinder" not in parts[6], "a motor moves the swing"
+    assert "cylinder" not in parts[7], "a motor moves the swing"
 
 
 def test_plan_can_be_read_back(plan, tmp_path):
