@@ -115,8 +115,8 @@ class PostureCheck(Answer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """Other poses, where reserves are used."""
         if any(each.short for each in self.poses) and not any(each.broken for each in self.poses):
-            return (NextStep(Action.MEASURE, "Leave these poses out, or plan others: "
-                                             f"'hydroopt plan-poses {self.machine.source} -n 20 -o plan'."),)
+            return (NextStep(Action.MEASURE, "Leave these poses out, or plan others:",
+                             f"hydroopt plan-poses {self.machine.source} -n 20 -o plan"),)
         return ()
 
     @property
