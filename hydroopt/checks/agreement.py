@@ -219,9 +219,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     stated = np.nan_to_num(force_noise(model, log)[read], nan=0.0) * averaged
     rms = np.sqrt(np.mean(force**2, axis=0))
     expected = np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))
-    most = np.minimum(expected, LARGEST * rms)  # else what is far too large fits
-    unread = np.array([not each.actuators for each in model.machine.balances])  # where nothing acts the force is zero
-    sigma = np.hypot(stated, MODEL_ERROR * np.where(unread, expected, most))
+    sigma = np.hypot(stated, MODEL_ERROR * np.minimum(expected, LARGEST * rms))  # else what is far too large fits
     sigma = np.maximum(sigma, 1e-9 * max(1.0, float(np.max(size))))
     weight = steady / sigma
     rows, right = (K * weight[:, :, None]).reshape(-1, p), ((force - nominal) * weight).ravel()

@@ -54,7 +54,7 @@ class PostureCheck(Answer):
         >>> q = {"swing.q": [0.0, 0.0], "boom.q": [-0.5, 0.4], "stick.q": [1.4, 1.4]}
         >>> found = check_postures("cat215b", ho.Poses("two", channels={name: np.array(x) for name, x in q.items()}))
         >>> [(each.pose, each.broken) for each in found.poses if each.broken]
-        [('2', ('stick above ground',))]
+        [('2', ('workspace along z', 'boom above ground', 'stick above ground'))]
     """
 
     machine: Machine

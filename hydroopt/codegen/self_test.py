@@ -29,6 +29,8 @@ rounding decides."""
 CLEAR, CLEAR_SINGLE = 1e-4, 1e-2
 """How well a posture determines the wrench at the tip, see `Dynamics.tip_wrench`, where rounding does not decide it in
 double and in single precision."""
+OPEN_SINGLE = 0.01
+"""How far [m] a chain must be from closing, so that rounding of lengths in single precision does not decide its gap."""
 ADDED, REACH = 0.1, 0.5
 """Mass that is fixed to every body, as a part of the bodies' mean, and how far from its frame [m]."""
 BENT = 0.05
@@ -59,7 +61,7 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
     for seed in range(TRIES):
         inputs = states(interface, seed=seed, single=single, share=4 / (4 + seed))
         outputs = dict(zip(keys, results(function, inputs), strict=True))
-        untested = _undetermined(interface, outputs, CLEAR_SINGLE if single else CLEAR)
+        untested = _undetermined(interface, outputs, single=single)
         if best is None or len(untested) < len(best.untested):
             best = Vectors(inputs, outputs, {name: inputs[name] for name in inputs if name in interface.values},
                            untested)
@@ -72,9 +74,14 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
                          outputs={key: array for key, array in best.outputs.items() if key[0] in tested})
 
 
-def _undetermined(interface: Interface, outputs: dict[tuple[str, str], Array], clear: float) -> tuple[str, ...]:
-    """Routines of which a result is no number or a check does not hold, that of the wrench at the tip clearly."""
-    found = {}
+def _undetermined(interface: Interface, outputs: dict[tuple[str, str], Array], *, single: bool) -> tuple[str, ...]:
+    """Routines of which a result is no number or a check does not hold, that of the wrench at the tip clearly; in
+    single precision also `closure` where the chain is almost closed."""
+    found, clear = {}, CLEAR_SINGLE if single else CLEAR
+    if single and ("closure", "residual") in outputs and not interface.together:
+        gaps = np.max(np.abs(outputs["closure", "residual"]), axis=(1, 2), initial=0.0)
+        if np.any(gaps < OPEN_SINGLE):
+            found["closure"] = True
     for (routine, key), values in outputs.items():
         guards = enumerate(interface.routines[routine].guards) if key == ":guards" else ()
         if not np.all(np.isfinite(values)) or not all(

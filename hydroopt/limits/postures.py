@@ -80,7 +80,7 @@ class PostureLimits:
     Example:
         >>> import hydroopt as ho
         >>> kept = PostureLimits(ho.KinematicModel(ho.load_machine("excavator_bucket")))
-        >>> q = np.array([[0.0, 0.3, -1.2, -0.4], [0.0, -0.6, -0.3, 0.0]])
+        >>> q = np.array([[0.0, 0.6, -1.2, -0.4], [0.0, -0.6, -0.3, 0.0]])
         >>> {name: broken.tolist() for name, broken in kept.broken(q).items() if name.startswith("stick above")}
         {'stick above ground': [False, True]}
     """

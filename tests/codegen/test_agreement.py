@@ -40,7 +40,7 @@ Values = dict[str, Array]
 EVERY = (*SUBJECTS, *library.BALANCED, *library.LOOPED)
 PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
 """Subjects whose geometry is an argument, judged with changed numbers, too."""
-UNCERTAIN = (*PARAMETRIC, "backhoe", "forestry_crane")
+UNCERTAIN = (*PARAMETRIC, "backhoe", "forestry_crane", "patu655_lift")
 """Subjects whose file states confidences of the geometry."""
 BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
 FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),

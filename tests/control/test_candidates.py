@@ -233,6 +233,7 @@ def test_small_margins_ask_for_the_valves_and_for_more_robust_loops(exact_feedfo
     found = replace(exact_feedforward, outcomes=outcomes)
     texts = [each.text for each in found.next_steps]
     assert [text.partition(":")[0] for text in texts] == [
-        "Identify valves and oil, since margins depend on them", "Give --sensitivity 1.3"]
+        "Identify valves and oil, since margins depend on them",
+        "Loops are slower and more robust with --sensitivity 1.3."]
     careful = replace(found, setting=replace(found.setting, sensitivity=1.3))
     assert [each.text for each in careful.next_steps] == texts[:1]

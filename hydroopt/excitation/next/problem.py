@@ -319,7 +319,7 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
     >>> import hydroopt
     >>> problem = hydroopt.what_next_problem("patu655_lift", targets={"force": 0.01})
     >>> [each.name for each in problem.measurements]
-    ['motion', 'weigh.linkage', 'weigh.extension', 'weigh.payload']
+    ['transducers', 'motion', 'weigh.linkage', 'weigh.extension', 'weigh.payload']
     >>> plan = hydroopt.solve(problem)
     >>> plan.steps[0].measurement.name, plan.stopped
     ('motion', 'all targets are met')
