@@ -31,7 +31,7 @@ ECCENTRIC = 0.02
 TURNS = 1.0
 """Range of an angle [rad] from which on an eccentricity differs from an offset and a scale."""
 FEWEST_OF_TURN = 10
-"""Poses from which on an error that repeats once a turn is sought: its two amounts fit what is left in fewer."""
+"""Poses from which on an error that repeats once a turn is sought, as `SHORTEST` on both sides of a move."""
 
 
 STANDS = ("x", "y", "z", "rx", "ry", "rz", "roll", "pitch", "yaw")
