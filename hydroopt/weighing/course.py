@@ -120,7 +120,8 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
             status = Weighable.CONTRADICTED
         elif resting >= RESTING:
             status = Weighable.STANDSTILL
-        elif status is Weighable.OK and change.ratio > GOES_ON:
+        elif status is Weighable.OK and (
+                change.ratio > GOES_ON or (taring and number == 0 and _against_empty(found, full_scale) > GOES_ON)):
             status = Weighable.CHANGING
         yield Reading(i, found, number, status, noticeable)
 
@@ -132,6 +133,13 @@ def _tared(equations: Equations, known: Gaussian, count: int, at: Array) -> Weig
         sought.own = at
         sought.take(i, empty=True)
     return sought.solved_empty()
+
+
+def _against_empty(found: Weighed, full_scale: float) -> float:
+    """Likelihood ratio of a load against the empty machine by all samples since the tare, without what is assumed."""
+    information, variance = 1 / found.mass_std**2, (EMPTY * full_scale) ** 2
+    shown = information - 1 / variance
+    return (found.mass * information) ** 2 / shown if shown > 0 else 0.0
 
 
 def _status(found: Weighed, rows: int, full_scale: float, needed: float) -> Weighable:

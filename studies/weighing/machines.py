@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from hydroopt import Log, Model, random_trajectory, random_truth
 from hydroopt.logs import sensors
+from hydroopt.machine.actuators import Drive
 from hydroopt.machine.balances import undriven
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.kinematics import gravity_in_base
@@ -155,7 +156,9 @@ class SimulatedMachine:
         force = force + self.load_friction * np.abs(force) * np.sign(speed)
         channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
         for k, actuator in enumerate(machine.measured_actuators):
-            area, other, pushing, pulling = (*actuator.areas, *actuator.chambers)
+            if isinstance(actuator, Drive):
+                raise TypeError("electric drives have no chambers")
+            (area, other), (pushing, pulling) = actuator.areas, actuator.chambers
             back = BACK_PRESSURE * (1 + 2 * rng.random())
             forward = force[:, k] + other * back > area * back
             channels[pushing] = np.where(forward, (force[:, k] + other * back) / area, back)
@@ -164,6 +167,8 @@ class SimulatedMachine:
         pulses = np.sin(2 * np.pi * hertz * motion.t + phase)
         for channel, values in channels.items():
             sensor, pressure = machine.sensor(channel), not channel.endswith(".q")
+            if sensor is None:
+                raise LookupError(channel)
             zero = rng.normal(0.0, session.drift or 1e-300) if pressure else 0.0
             extra = session.noise.of(motion.t, sensor.std, rng, pulses) if pressure else 0.0
             white = 0.0 if pressure and session.noise.memory else sensor.accuracy

@@ -40,8 +40,8 @@ class QuasistaticScale:
         for mass in (0.0, weight):
             force = model.over(model.inverse_dynamics, q, qd, 0 * q, machine.psi + mass * body)[0][:, BOOM, 0]
             tables.append((force * (1 + machine.load_friction[BOOM])).reshape(GRID, GRID))
-        self.empty = RectBivariateSpline(*axes, tables[0])
-        self.per_mass = RectBivariateSpline(*axes, (tables[1] - tables[0]) / weight)
+        self.empty = RectBivariateSpline(axes[0], axes[1], tables[0])
+        self.per_mass = RectBivariateSpline(axes[0], axes[1], (tables[1] - tables[0]) / weight)
         self.model = model
 
     def mass(self, log: Log, begin: float, end: float) -> float:

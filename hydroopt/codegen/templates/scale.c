@@ -604,6 +604,13 @@ static {{ p }}_weighable_t judged(const {{ p }}_scale_params_t *params, const {{
     if (!((NORMAL * shown->mass_std) <= params->needed)) {
         return {{ P }}_SCALE_UNCERTAIN;
     }
+    if ((shown->load == 0U) && (scale->taring > 0U)) { /* whether all samples since the tare speak of a load */
+        const real information = {{ 1 | number }} / square(shown->mass_std);
+        const real left = information - ({{ 1 | number }} / square(EMPTY * params->full_scale));
+        if ((left > {{ 0 | number }}) && (square(shown->mass * information) > (GOES_ON * left))) {
+            return {{ P }}_SCALE_CHANGING;
+        }
+    }
     return (scale->change_ratio <= GOES_ON) ? {{ P }}_SCALE_WEIGHABLE : {{ P }}_SCALE_CHANGING;
 }
 
