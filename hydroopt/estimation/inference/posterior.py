@@ -134,17 +134,18 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     for warm_ups in range(1, ROUNDS + 1):
         for _ in range(2):
             chains = chains.refitted()
-            earlier.append(chains.parameters)
+            earlier.append(chains.whitened)
             for _ in range(WARM_UP // 2):
                 chains.sweep(rng)
         settled = _settled(chains.states(earlier[warm_ups]), chains.state)
         if settled:
             break
-    kept, slack = [], []
+    kept, states, slack = [], [], []
     for _ in range(SWEEPS):  # as far apart as it takes these chains to forget their places
         for _ in range(APART * (warm_ups if settled else 1)):
             chains.sweep(rng)
         kept.append(chains.parameters)
+        states.append(chains.state.copy())
         slack.append(chains.slack.copy())
     samples = np.concatenate(kept)
     gaussian_alone = not inequalities.heavy_tailed and user.inequality is None
@@ -154,12 +155,9 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", which did not converge"))
-    # means one by one are more exact, but may miss what binds them together; those of samples are within what is convex
-    for mean in (own.mean, samples.mean(axis=0)):
-        centre = np.linalg.lstsq(slope, ((mean - gaussian.offset) / scale)[:, None], rcond=None)[0][:, 0]
-        if inequalities.possible(centre):
-            return Posterior(drawn, own, gaussian.offset + gaussian.slope @ centre, note, settled)
-    return Posterior(drawn, own, None, note, settled)
+    # not the more exact means one by one: each has its own error, and sums are known far better than parts
+    possible = chains.inequalities.possible(np.mean(states, axis=(0, 2)))
+    return Posterior(drawn, own, samples.mean(axis=0) if possible else None, note, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,11 +186,16 @@ class _Chains:
         gaussian = self.inequalities.gaussian
         return np.asarray(gaussian.offset + (gaussian.slope @ self.state).T)
 
-    def states(self, parameters: Array) -> Array:
-        """States (k, c) of other places ψ (c, p) in the coordinates of these chains."""
-        gaussian, scale = self.inequalities.gaussian, self.inequalities.scale
-        return np.asarray(np.linalg.lstsq(gaussian.slope / scale[:, None],
-                                          ((parameters - gaussian.offset) / scale).T, rcond=None)[0])
+    @property
+    def whitened(self) -> Array:
+        """Places z (k, c) in the coordinates in which the Gaussian that is cut off is standard normal."""
+        centre, root = self.inequalities.inside
+        return np.asarray(centre[:, None] + root @ self.state)
+
+    def states(self, z: Array) -> Array:
+        """States (k, c) of other places z (k, c) in the coordinates of these chains."""
+        centre, root = self.inequalities.inside
+        return np.asarray(root.T @ (z - centre[:, None]) / np.sum(root**2, axis=0)[:, None])
 
     def refitted(self) -> _Chains:
         """The same chains about a Gaussian with their mean, and wider where they are, so that they move far."""
@@ -243,7 +246,6 @@ class _Inequalities:
         self.start = gradient @ gaussian.offset - np.concatenate([right, *(c.right for c in linear)])
         self._user = user
         self.gaussian = gaussian
-        self.scale = problem.parameters.scale
         self.inside = inside
         self._ratio = inside.ratio
 

@@ -103,6 +103,19 @@ def test_body_at_the_edge_of_existence(one_body: Callable[..., IdentificationPro
     np.testing.assert_allclose(samples.std(axis=0), kept.std(axis=0), rtol=0.1)
 
 
+def test_the_mean_keeps_what_is_known_of_sums(free_wheel: IdentificationProblem) -> None:
+    """A sum that is known ten thousand times better than its parts, two of which are cut off at zero."""
+    R = np.eye(4)
+    R[0, :3] = 1e4
+    mean = np.array([-3.0, 1.0, 0.5, 30.0])
+    for seed in range(3):
+        posterior = sample(free_wheel, R, R @ mean, mean, consistent=False, seed=seed)
+        assert posterior is not None
+        assert posterior.mean is not None
+        assert np.sum(posterior.mean[:3]) == pytest.approx(-1.5, abs=0.2e-4)
+        np.testing.assert_allclose(posterior.mean, posterior.own.mean, atol=0.2)
+
+
 def test_positive_definite_is_what_eigenvalues_say() -> None:
     rng = np.random.default_rng(4)
     good = wishart(4, np.eye(4)).rvs(2000, random_state=rng)
