@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,10 +173,17 @@ def test_the_command_reads_long_files_in_pieces(path: Path, tmp_path: Path, monk
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["wheel_loader", "scissor_lift", "backhoe", "forestry_crane", "knuckle_boom_crane"])
 def test_pieces_tell_what_the_whole_tells_of_other_machines(name: str, tmp_path: Path) -> None:
-    """Loops, opposed cylinders, a chained telescope, joints that swing freely."""
+    """Loops, opposed cylinders, a chained telescope, joints that swing freely.
+
+    Base parameters that the motion hardly determines follow the readings' last bits by more than 1e-6 of their
+    standard deviations; pieces change them by no more than these bits do.
+    """
     model, path = Model(load_machine(name)), tmp_path / "log.parquet"
     simulate(model, random_trajectory(model, duration=66.56, rate=50, seed=2), seed=2).write(path)
-    whole, pieces = (identify(identification_problem(model, [each]), "wls", intervals=False)
-                     for each in (read_log(path), stream(path, piece=BORDER)))
-    assert apart(whole, pieces) < 1e-6
+    log, rng = read_log(path), np.random.default_rng(0)
+    rounded = replace(log, channels={name: np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
+                                     for name, x in log.channels.items()})
+    whole, pieces, other = (identify(identification_problem(model, [each]), "wls", intervals=False)
+                            for each in (log, stream(path, piece=BORDER), rounded))
+    assert apart(whole, pieces) < 3 * apart(whole, other) < 1e-3
     np.testing.assert_allclose(pieces.sigma, whole.sigma, rtol=1e-9)
