@@ -163,7 +163,7 @@ def _samples_of_control(interface: Interface, count: int, rng: np.random.Generat
                                 for each in Plant(interface.complete).actuators], (count, 1)),
              "period": np.full((count, 1), 0.0625), "state": np.zeros((count, len(STATE) * valves[1])),
              "q_demanded": rng.uniform(-0.01, 0.01, (count, len(interface.machine.joints)))}
-    made["state"][:, [k for k in range(made["state"].shape[1]) if STATE[k % len(STATE)] in ("started", "elapsed")]] = 1
+    made["state"][:, [k for k in range(made["state"].shape[1]) if STATE[k % len(STATE)] in ("started", "variance")]] = 1
     made |= {name: rng.uniform(-1e4, 1e4, valves) for name in ("force_measured", "force_demanded")}
     made |= {"opening_before": rng.uniform(-0.5, 0.5, valves), "speed_before": rng.uniform(-0.1, 0.1, valves),
              "force_gain": rng.uniform(1e-8, 1e-6, valves), "integral": rng.uniform(-0.01, 0.01, axes)}

@@ -83,9 +83,9 @@ def valve_refit(api: Symbols) -> Routine:
     gives = api.struct("valve_flows", "Factors on the valves' flows.", *_factors(api),
                        *(Field(f"std_{way}", (api.valve,), "1", f"standard deviation of factor_{way}")
                          for way in ("extending", "retracting")), kept)
-    return Routine("valve_refit", f"Flows of the valves while the machine works: over {refit.WINDOW:g} s each, the "
-                   "motion is compared with what the valves of the machine file let through; forgotten with a time "
-                   f"constant of {refit.FORGETTING:g} s.", takes,
+    return Routine("valve_refit", "Flows of the valves while the machine works: each sample compares the motion "
+                   "with what the valves of the machine file let through; forgotten with a time constant of "
+                   f"{refit.FORGETTING:g} s.", takes,
                    ("q", "acting", "pressure_a", "pressure_b", "supply", "period", "state"), gives,
                    {FACTORS[0]: factors[:, 0], FACTORS[1]: factors[:, 1], "std_extending": deviations[:, 0],
                     "std_retracting": deviations[:, 1], "state": ca.vertcat(*after)},
@@ -183,4 +183,4 @@ def _supplied(api: Symbols) -> tuple[Guard, ...]:
 
 
 def _periodic(period: ca.SX) -> tuple[Guard, ...]:
-    return Guard(period, ">", 0.0, "OUT_OF_RANGE"), Guard(period, "<=", refit.WINDOW, "OUT_OF_RANGE")
+    return Guard(period, ">", 0.0, "OUT_OF_RANGE"), Guard(period, "<=", refit.MEMORY, "OUT_OF_RANGE")

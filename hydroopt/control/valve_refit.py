@@ -1,4 +1,4 @@
-"""On-line estimation of the valves' flows: a factor for each direction of each actuator, from windows of its motion."""
+"""On-line estimation of the valves' flows: a factor for each direction of each actuator, from its motion."""
 
 from __future__ import annotations
 
@@ -15,29 +15,26 @@ from hydroopt.model.hydraulics import ActuatorHydraulics, Value, spool_position
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
-STATE = ("started", "spool", "spool_rate", "extending", "retracting", "stored", "length", "pressure_a", "pressure_b",
-         "elapsed", "correction_extending", "correction_retracting", "certainty_extending", "certainty_retracting")
+STATE = ("started", "spool", "spool_rate", "pressure_a", "pressure_b", "length", "correction_extending",
+         "correction_retracting", "variance", "covariance_extending", "covariance_retracting", "certainty_extending",
+         "certainty_retracting", "certainty_both")
 """What one actuator's estimate keeps from sample to sample, all zero at first: whether there was a sample; the spool;
-volumes [m³] that the window's openings would have let through each way, and that oil and leaks took; length at the
-window's start and pressures at the last sample; time [s] since the window's start; factors less one, and `PRIOR`² less
-their variances."""
+pressures at the last sample; the estimated length, factors less one, the variance of the length and its covariances
+with the factors, and what is known of the factors: `PRIOR`² less their variances, and less their covariance."""
 WAYS = ("extending", "retracting")
-WINDOW = 0.3
-"""Length of a window [s]: its motion is several times the error of a position."""
+MEMORY = 0.3
+"""Time [s] in which what the model misses of a motion adds up to `MODEL_ERROR`, and slow errors of readings change."""
 PRIOR = 0.1
 """Standard deviation of a factor about one, before anything is seen."""
 MODEL_ERROR = 0.1
-"""Standard deviation of a window's volume by the model, as a part of it: spool, dead band and compression."""
-ONE_WAY = 0.1
-"""Part of a window's volume that may pass the other way."""
-STORED = 0.3
-"""Part of a window's volume that oil may store; near vacuum, where it stores more, no window is used."""
+"""Standard deviation of the motion in `MEMORY` by the model, as a part of it: spool and dead band."""
+STORED_ERROR = 0.3
+"""Standard deviation of the volume that oil stores, as a part of it: near vacuum, where it stores much, little is
+learned."""
 BELIEVED = 3.0
-"""Standard deviations by which a window's motion may differ; beyond, more than its valve acts on the machine."""
-LEAST = 3.0
-"""Volume of a window by the error of reading it, below which it tells nothing of a factor."""
-NOTHING = 1e-12
-"""Volume [m³] that is none, so that nothing is divided by zero."""
+"""Standard deviations by which a reading may differ; beyond, more than its valve acts on the machine."""
+NOTHING = 1e-9
+"""Standard deviation of a length [m or rad] at least, so that nothing is divided by zero."""
 FORGETTING = 30.0
 """Time constant [s] after which a factor may have changed by `PRIOR`."""
 SUBSTEPS = 4
@@ -60,10 +57,11 @@ def next_state(each: ActuatorHydraulics, state: ca.SX, command: ca.SX, length: c
                p_b: ca.SX, supply: ca.SX, period: ca.SX, value: Value) -> ca.SX:
     """The state (14, 1) of one actuator after a further sample.
 
-    In a window of `WINDOW` seconds the piston sweeps (A_a + A_b)·Δl = k₊·V₊ + k₋·V₋ − V_s, with V₊ and V₋ the volumes
-    that the edges would have let through at the measured pressures, and V_s what compression and leaks took. A window
-    in which the actuator moved one way corrects the factor of that way (Kalman 1960); its variance grows towards
-    `PRIOR`² with the time constant `FORGETTING`. Biases of readings drop out of Δl.
+    Between samples the piston sweeps (A_a + A_b)·Δl = k₊·V₊ + k₋·V₋ − V_s, with V₊ and V₋ the volumes that the edges
+    would have let through at the measured pressures, and V_s what compression and leaks took. Length and factors are
+    estimated together from every reading (Kalman 1960). The factors' covariance grows towards that of the start with
+    the time constant `FORGETTING`. After a reading that cannot be believed the length begins anew, and the factors stay
+    as they are. A bias of the readings is a part of the estimated length, and so drops out of the factors.
 
     Args:
         each: the actuator.
@@ -77,11 +75,10 @@ def next_state(each: ActuatorHydraulics, state: ca.SX, command: ca.SX, length: c
         value: of the numbers of its circuit.
     """
     at = dict(zip(STATE, ca.vertsplit(state), strict=True))
-    started = at["started"]
-    before_a, before_b = (_either(started, at[f"pressure_{side}"], now) for side, now in (("a", p_a), ("b", p_b)))
+    before_a, before_b = (_either(at["started"], at[f"pressure_{side}"], now) for side, now in (("a", p_a), ("b", p_b)))
     spool, rate = at["spool"], at["spool_rate"]
     wanted, h = spool_position(each.valve, command, value), period / SUBSTEPS
-    volumes = [ca.SX(0), ca.SX(0), ca.SX(0)]
+    extending, retracting, stored = ca.SX(0), ca.SX(0), ca.SX(0)
     for k in range(SUBSTEPS):
         if each.spool_states:
             after, rate = _runge_kutta(lambda s, v: each.spool_rates(s, v, wanted, value), spool, rate, h)
@@ -91,35 +88,32 @@ def next_state(each: ActuatorHydraulics, state: ca.SX, command: ca.SX, length: c
         here = before_a + share * (p_a - before_a), before_b + share * (p_b - before_b)
         through, leaks = (each.flows(place, *here, supply, value) for place in (middle, ca.SX(0)))
         net, lost = through.into_a - through.into_b, leaks.into_a - leaks.into_b
-        volumes[0] += h * _positive(middle) * (net - lost)
-        volumes[1] += h * (1 - _positive(middle)) * (net - lost)
-        volumes[2] -= h * lost
+        extending += h * _positive(middle) * (net - lost)
+        retracting += h * (1 - _positive(middle)) * (net - lost)
+        stored -= h * lost
         spool = after
     capacity = each.capacities((p_a + before_a) / 2, (p_b + before_b) / 2, length, value)
-    volumes[2] += capacity[0] * (p_a - before_a) - capacity[1] * (p_b - before_b)
-    extending, retracting, stored = (_either(started, at[key] + volume, 0) for key, volume in
-                                     zip((*WAYS, "stored"), volumes, strict=True))
-    start = _either(started, at["length"], length)
-    elapsed = _either(started, at["elapsed"] + period, 0)
-    full = _positive(elapsed - WINDOW * (1 - 1e-6))
-    area = sum(each.areas)
-    moved, reading = area * (length - start) + stored, np.sqrt(2) * area * length_std
-    corrections, certainties = [], []
-    for key, own, other in (("extending", extending, retracting), ("retracting", retracting, extending)):
-        certainty = ca.fmax(0, ca.fmin(at[f"certainty_{key}"], PRIOR**2))
-        grown = PRIOR**2 - certainty * ca.exp(-period / FORGETTING)
-        noise = reading**2 + (MODEL_ERROR * own)**2
-        correction = at[f"correction_{key}"]
-        missed, spread = moved - (1 + correction) * own - other, own**2 * grown + noise + NOTHING**2
-        used = full * _positive(ca.fabs(own) - LEAST * reading) * _positive(ONE_WAY * ca.fabs(own) - ca.fabs(other))
-        used *= _positive(STORED * ca.fabs(own) - ca.fabs(stored)) * _positive(BELIEVED**2 * spread - missed**2)
-        gain = used * grown * own / spread
-        corrections.append(correction + gain * missed)
-        certainties.append(PRIOR**2 - (1 - gain * own) * grown)
-    zero = ca.SX(0)
-    return ca.vertcat(1, spool, rate, *(_either(full, zero, part) for part in (extending, retracting, stored)),
-                      _either(full, length, start), p_a, p_b, _either(full, zero, elapsed), *corrections,
-                      *certainties)
+    stored += capacity[0] * (p_a - before_a) - capacity[1] * (p_b - before_b)
+
+    swept, stored = ca.vertcat(extending, retracting) / sum(each.areas), stored / sum(each.areas)
+    correction, covariance = (ca.vertcat(*(at[f"{key}_{way}"] for way in WAYS)) for key in ("correction", "covariance"))
+    own = [ca.fmax(0, ca.fmin(at[f"certainty_{way}"], PRIOR**2)) for way in WAYS]
+    both = at["certainty_both"]
+    certainty = ca.vertcat(ca.horzcat(own[0], both), ca.horzcat(both, own[1]))
+    grown = PRIOR**2 * ca.SX.eye(2) - certainty * ca.exp(-period / FORGETTING)
+    reading = length_std**2 + NOTHING**2
+    missed = (MODEL_ERROR**2 * MEMORY / period * ca.sumsqr(swept) + (STORED_ERROR * stored) ** 2
+              + reading * period / MEMORY)
+    variance = ca.fmax(0, at["variance"] + 2 * swept.T @ covariance + swept.T @ grown @ swept + missed)
+    covariance += grown @ swept
+    expected = at["length"] + (1 + correction).T @ swept - stored
+    error, spread = length - expected, variance + reading
+    known = at["started"] * _positive(BELIEVED**2 * spread - error**2)
+    certainty = PRIOR**2 * ca.SX.eye(2) - grown + known / spread * covariance @ covariance.T
+    return ca.vertcat(1, spool, rate, p_a, p_b, _either(known, expected + variance / spread * error, length),
+                      correction + known * error / spread * covariance,
+                      _either(known, variance * reading / spread, reading), known * reading / spread * covariance,
+                      certainty[0, 0], certainty[1, 1], certainty[0, 1])
 
 
 def _positive(x: ca.SX) -> ca.SX:
