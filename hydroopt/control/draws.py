@@ -18,6 +18,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.hydraulic.estimate import identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.logs.smoothing import SmoothingSpline
 from hydroopt.progress import Progress, silent
 from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.simulation.simulate import random_truth
@@ -51,12 +52,14 @@ def draws(setting: Setting, count: int, *, progress: Progress = silent) -> tuple
         SolverError: a plant could not be integrated.
     """
     plant, found = setting.plant, []
+    test = valve_test(plant)
+    smoothing = SmoothingSpline(bandwidth=test.bandwidth)
     for k in range(count):
         progress(f"machine {k + 1} of {count}", k / count)
         seed = (setting.seed or 0) + k
         psi, theta = random_truth(plant.model, seed), random_numbers(plant, seed)
-        log = driven_test(valve_test(plant), psi, theta, rate=setting.rate, seed=seed)
-        bodies = identify(identification_problem(plant.model, [log]), intervals=False)
+        log = driven_test(test, psi, theta, rate=setting.rate, seed=seed)
+        bodies = identify(identification_problem(plant.model, [log], smoothing=smoothing), intervals=False)
         problem = hydraulic_problem(plant.machine, [log])
         valves = problem.whole(identify_hydraulics(problem).adjustment.theta)
         here = replace(setting, true=ModelVariant(TRUE, "drawn", plant.model, psi), true_theta=theta, seed=seed)

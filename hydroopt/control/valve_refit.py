@@ -26,7 +26,7 @@ MEMORY = 0.3
 """Time [s] in which what the model misses of a motion adds up to `MODEL_ERROR`, and slow errors of readings change."""
 PRIOR = 0.1
 """Standard deviation of a factor about one, before anything is seen."""
-MODEL_ERROR = 0.1
+MODEL_ERROR = 0.05
 """Standard deviation of the motion in `MEMORY` by the model, as a part of it: spool and dead band."""
 STORED_ERROR = 0.3
 """Standard deviation of the volume that oil stores, as a part of it: near vacuum, where it stores much, little is

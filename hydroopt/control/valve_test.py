@@ -78,6 +78,17 @@ class ValveTest:
         """Of the test [s]."""
         return sum(step.seconds for step in self.steps)
 
+    @property
+    def bandwidth(self) -> float | None:
+        """Frequency [Hz] up to which steps may move the machine: that of its fastest spool, or its own `bandwidth`
+        where that is higher; None where a spool follows at once.
+
+        Bodies are identified from motion that is smoothed no more than this: smoother reversals show too little dry
+        friction.
+        """
+        spools = [each.valve.natural_frequency for each in self.plant.actuators]
+        return max([*filter(None, spools), self.plant.machine.bandwidth or 0.0]) if all(spools) else None
+
     def sheet(self) -> str:
         """What an operator, or a controller, has to do, in words."""
         machine = self.plant.machine
@@ -86,6 +97,9 @@ class ValveTest:
                  "and supply, and angles or lengths. Command one valve at a time, all others shut. Each step goes the",
                  "other way than the one before; turn back at once where a joint would pass a limit. Try a quarter",
                  "of the openings first, and stop where anything moves that should not.", ""]
+        if self.bandwidth:
+            lines += [f"Steps move the machine at up to {self.bandwidth:g} Hz: identify its bodies from the log with "
+                      f"--bandwidth {self.bandwidth:g}.", ""]
         for joint, lower, upper in zip(machine.joints, self.lower, self.upper, strict=True):
             turns = machine.channel_units[f"{joint}.q"] == "rad"
             ends = [f"{np.degrees(end):.1f} deg" if turns else f"{end:.3f} m" for end in (lower, upper)]

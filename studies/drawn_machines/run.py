@@ -29,6 +29,7 @@ from hydroopt.control.setting import Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.control.valve_test import driven_test, valve_test
+from hydroopt.logs.smoothing import SmoothingSpline
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.valves import EDGES
 from hydroopt.model.plant import Plant
@@ -91,7 +92,8 @@ class Case:
         for name, k in self.known.parameters.positions.items():
             if name in valves.parameters and valves.parameters[name].value is not None:
                 theta[k] = valves.parameters[name].value
-        return solve(identification_problem(self.known.model, [log])).psi, theta
+        smoothing = SmoothingSpline(bandwidth=valve_test(self.known).bandwidth)
+        return solve(identification_problem(self.known.model, [log], smoothing=smoothing)).psi, theta
 
     def setting(self, theta: Array, *, sensitivity: float = SENSITIVITY, flows: float = 1.0) -> Setting:
         """A motion that no part of identification saw, for controllers that know θ."""
