@@ -55,7 +55,7 @@ class ScaleTables:
     needed: float
 
     def __post_init__(self) -> None:
-        where = self.scale.model.machine.name
+        where = self.scale.machine.name
         if not (1 / FASTEST <= self.step <= SLOWEST and self.needed > 0):
             raise ProblemError("a scale in C needs a sampling step and an interval that it can have", where=where,
                                remedy=f"sample at {1 / SLOWEST:g} to {FASTEST:g} Hz, and give a positive interval")
@@ -149,7 +149,7 @@ class ScaleTables:
         """Where the parameters come from: the digest of all of them."""
         digest = hashlib.sha256(b"".join(np.ascontiguousarray(each, dtype=float).tobytes()
                                          for each in self.values.values())).hexdigest()
-        return Origin(f"a scale of {self.scale.model.machine.name}", digest)
+        return Origin(f"a scale of {self.scale.machine.name}", digest)
 
     @property
     def longest_tare(self) -> float:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def render(weighing: Weighing) -> str:
     """The page; it needs nothing else."""
     model, table = weighing.scale.model, weighing.table
-    machine = model.machine
+    machine = weighing.scale.machine
     good = np.array([each.status is Weighable.OK for each in weighing.readings])
     believed = {key: np.where(good, table[f"{key} [kg]"], np.nan) for key in ("mass", "low", "high")}
     unbelieved = np.where(good, np.nan, table["mass [kg]"])

@@ -16,14 +16,13 @@ from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
-from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.balances import undriven
 from hydroopt.machine.given_machine import GivenMachine
-from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model, model_of
 from hydroopt.simulation.simulate import Trajectory, random_trajectory
 from hydroopt.spatial.inertia import Array
+from hydroopt.weighing.drifting_zeros import drifts, with_offsets
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.scale import CarriedLoad, ForceReadings, Scale, Uncertain, axes_about
@@ -61,20 +60,20 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
 
     See `weigh` for an example.
     """
-    model = model_of(machine, "scale")
-    machine = model.machine
-    model.refuse_seals("scale")
+    calibrated = model_of(machine, "scale")
+    calibrated.refuse_seals("scale")
+    model, machine = with_offsets(calibrated), calibrated.machine
     with threadpool_limits(limits=1, user_api="blas"):
         given = None if isinstance(calibration, str | Path) else all_of(calibration, (Log,), "log", machine.name)
-        known = stored_information(model, calibration if given is None else given)
-        logs = None if given is None else [smoothed_log(model, each) for each in given]
-        p = len(model.parameters)
+        known = stored_information(calibrated, calibration if given is None else given)
+        logs = None if given is None else [smoothed_log(calibrated, each) for each in given]
+        p = len(calibrated.parameters)
         if len(known.triangles) != len(machine.balances):
             raise ProblemError("this calibration weighted the residuals of all actuators jointly", where=machine.name,
                                remedy="give its logs, or identify without --correlated, --fitted-motion and "
                                       "--instruments")
         rows = known.triangles.reshape(-1, p + 1)
-        found = gaussian_posterior(IdentificationProblem(model, ()), rows[:, :p], rows[:, p])
+        found = gaussian_posterior(IdentificationProblem(calibrated, ()), rows[:, :p], rows[:, p])
     angle_std = np.array([sensor.std if (sensor := machine.sensor(f"{joint}.q")) else np.nan
                           for joint in machine.joints])
     force_std = force_noise(model)
@@ -82,17 +81,21 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
     if not np.all(np.isfinite(angle_std)) or not np.all(force_std > 0):
         raise ProblemError("a scale needs the accuracy of all sensors", where=machine.name,
                            remedy="state [[sensors]] with 'accuracy' for angles and pressures")
-    trials = [random_trajectory(model, duration=TRIAL_DURATION, rate=TRIAL_RATE, seed=seed) for seed in range(TRIALS)]
-    K = model.over(model.linearised, trials[0].q, trials[0].qd, trials[0].qdd, found.offset)[0]
+    trials = [random_trajectory(calibrated, duration=TRIAL_DURATION, rate=TRIAL_RATE, seed=seed)
+              for seed in range(TRIALS)]
+    # the calibrated parameters among those of the model, whose further offsets were zero then
+    among = np.eye(len(model.parameters))[:, [model.parameters.index(name) for name in calibrated.parameters.names]]
+    psi = among @ found.offset
+    K = model.over(model.linearised, trials[0].q, trials[0].qd, trials[0].qdd, psi)[0]
     G = model.over(model.gravity_regressor, trials[0].q)[0].reshape(len(K), 3, *K.shape[1:])
     driven = trials if logs is None else [Trajectory(
         np.concatenate([each.t for each in logs]), np.concatenate([each.q for each in logs]),
         np.concatenate([each.qd for each in logs]), np.concatenate([each.qdd for each in logs]))]
-    taken = np.array([_taken_for_friction(model, known, found, motion) for motion in driven])
+    taken = np.array([_taken_for_friction(calibrated, known, found, motion) for motion in driven])
     scatter = uncertain.load_friction * np.concatenate([*(taken - taken.mean(axis=0))], axis=1) / np.sqrt(len(taken))
     taken = taken.mean(axis=0)
-    drifts = _drifts(model, uncertain.zero_drift)
-    slope = np.hstack([found.slope, drifts, scatter])
+    drifting = drifts(model, uncertain.zero_drift)
+    slope = np.hstack([among @ found.slope, drifting, among @ scatter])
     across = axes_about(np.asarray(gravity_in_base(machine)).ravel())[:2]
     tilted = machine.gravity * STEEP * np.einsum("ac,mcrp->amrp", across, G)
     axes = _shown(np.concatenate([K, *tilted]), slope, force_std)
@@ -103,10 +106,10 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
         np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction)]))
     own = own.and_independent(np.zeros(2), np.full(2, size * uncertain.slope))
     gain = machine.faults.gain if uncertain.gain is None else uncertain.gain
-    readings = None if gain == 0 else _readings(known, found, gain or UNKNOWN_GAIN)
-    made = Scale(model, found.offset, directions, taken, load, own, uncertain, angle_std, force_std,
+    readings = None if gain == 0 else _readings(known, found, among, gain or UNKNOWN_GAIN)
+    made = Scale(machine, model, psi, directions, among @ taken, load, own, uncertain, angle_std, force_std,
                  (*machine.orientation[:2], uncertain.slope), gain or 0.0, readings,
-                 axes[p : p + drifts.shape[1]].T, np.zeros(r))
+                 axes[p : p + drifting.shape[1]].T, np.zeros(r))
     if logs is None:
         return made
     return replace(made, force_std=_noise([equations(made, each) for each in logs], axes[:p]))
@@ -146,22 +149,6 @@ def _noise(lines: Sequence[Equations], calibrated: Array) -> Array:
     return np.where(enough, np.sqrt(np.maximum(std**2, mean)), std)
 
 
-def _drifts(model: Model, std: float) -> Array:
-    """(p, a): what drifts of the pressures' zeros do to the forces' offsets."""
-    machine, names, columns = model.machine, model.parameters.names, []
-    for actuator in machine.measured_actuators:
-        if not isinstance(actuator, Cylinder | Motor):
-            continue
-        size = std * float(np.linalg.norm([*actuator.effort_factors.values()]))
-        offsets = [k for k, (name, kind) in enumerate(zip(names, model.parameters.kinds, strict=True))
-                   if kind is ParameterKind.FORCE_OFFSET and model.parameters.owner(name) in
-                   (actuator.name, getattr(actuator, "joint", ""))]
-        column = np.zeros(len(names))
-        column[offsets] = size
-        columns.append(column)
-    return np.column_stack(columns) if columns else np.zeros((len(names), 0))
-
-
 def _shown(K: Array, slope: Array, force_std: Array) -> Array:
     """Axes (z, k), orthonormal, of what forces show of ``slope·z``.
 
@@ -190,9 +177,9 @@ def _taken_for_friction(model: Model, known: StoredInformation, found: GaussianP
     return np.column_stack(made)
 
 
-def _readings(known: StoredInformation, found: GaussianPosterior, std: float) -> ForceReadings:
+def _readings(known: StoredInformation, found: GaussianPosterior, among: Array, std: float) -> ForceReadings:
     """What errors in scale of the readings, of this standard deviation each, did to the calibration, and what it tells
-    of them.
+    of them; `among` (p', p) has the calibrated parameters among those of the scale's model.
 
     The estimate is linear in the readings, so that their parts of it hold for errors of any size. The calibration tells
     whether single forces contradict the others, and all together the stated masses. Forces count there as it predicts
@@ -209,4 +196,4 @@ def _readings(known: StoredInformation, found: GaussianPosterior, std: float) ->
     information = left.T @ left + imitated.T @ (imitated - shown.T @ (shown @ imitated)) + np.eye(r) / std**2
     root = np.asarray(np.linalg.cholesky(information)).T
     pull = np.sum(predicted * (read - predicted), axis=1)
-    return ForceReadings(taken, Gaussian(root, np.asarray(np.linalg.solve(root.T, pull))), std)
+    return ForceReadings(among @ taken, Gaussian(root, np.asarray(np.linalg.solve(root.T, pull))), std)

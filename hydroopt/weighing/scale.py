@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.machine.machine import Machine
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
@@ -100,8 +101,9 @@ class Scale:
     base's x and y where z points up.
 
     Attributes:
-        model: of the machine.
-        psi: (p,) identified parameters.
+        machine: as its file describes it.
+        model: of the machine `with_offsets`.
+        psi: (p,) identified parameters; offsets that the file does not state are zero.
         directions: (p, k) of what is uncertain of them.
         taken: (p, r) what the calibration took for parameters, per friction that grows with the force of each balance;
             while it learns from a known load, (p, 2·r), also per part of each force that is read too much.
@@ -120,6 +122,7 @@ class Scale:
     See `weigh` for an example.
     """
 
+    machine: Machine
     model: Model
     psi: Array
     directions: Array
@@ -144,7 +147,7 @@ class Scale:
     @cached_property
     def gravity(self) -> Array:
         """(3,) that of the machine file in the base frame [m/s²]."""
-        return np.asarray(gravity_in_base(self.model.machine)).ravel()
+        return np.asarray(gravity_in_base(self.machine)).ravel()
 
     @cached_property
     def axes(self) -> Array:

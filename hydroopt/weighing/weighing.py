@@ -134,7 +134,7 @@ class Weighing(Answer):
     @property
     def machine_id(self) -> MachineId:
         """Which machine it is about."""
-        return MachineId.of(self.scale.model.machine)
+        return MachineId.of(self.scale.machine)
 
     @property
     def method(self) -> str:
@@ -202,7 +202,7 @@ class Weighing(Answer):
         readings = self.scale.readings
         if not self.scale.known_loads or readings is None:
             return
-        for balance, part, variance in zip(self.scale.model.machine.balances, self.scale.read,
+        for balance, part, variance in zip(self.scale.machine.balances, self.scale.read,
                                            np.diag(readings.too_large.covariance), strict=True):
             if abs(part) > max(WRONG_GAIN, WRONG_STD * np.sqrt(variance)):
                 yield Diagnostic(Kind.FORCE_SCALE_WRONG, (balance.name,), {
@@ -329,7 +329,7 @@ def weigh(scale: Scale, logs: Log | Sequence[Log], *, tare: float = 10.0, needed
         raise ProblemError("a tare is not negative, and an interval positive", where="weigh",
                            remedy="give the tare in s and the interval in kg")
     needed = NEEDED * scale.load.full_scale if needed is None else needed
-    given = all_of(logs, (Log,), "log", scale.model.machine.name)
+    given = all_of(logs, (Log,), "log", scale.machine.name)
     if not given:
         raise LogError("there is no log", where="weigh", remedy="give one or several")
     found: list[WeighedLog] = []

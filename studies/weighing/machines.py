@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import lfilter
 
-from hydroopt import Log, Model, random_trajectory, random_truth
+from hydroopt import Log, Model, ProblemError, random_trajectory, random_truth
 from hydroopt.logs import sensors
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.balances import undriven
@@ -96,6 +96,10 @@ class Session:
     noise: Noise = WHITE
 
 
+class SwingsTooFarError(Exception):
+    """A drawn load swings beyond the range of its joint, so that there is nothing to weigh."""
+
+
 @dataclass(frozen=True)
 class SimulatedMachine:
     """A machine's truth: its parameters ψ (p,) and its friction per force (r,)."""
@@ -118,7 +122,11 @@ class SimulatedMachine:
         return self.log(Session(motion, np.zeros(len(motion.t)), np.zeros(3), noise=noise), seed, "calibration")
 
     def swinging(self, session: Session, load: Array) -> Trajectory:
-        """The motion in which passive joints follow the others, with what a load adds to ψ (p,) per mass."""
+        """The motion in which passive joints follow the others, with what a load adds to ψ (p,) per mass.
+
+        Raises:
+            SwingsTooFarError: a passive joint leaves its range.
+        """
         motion, mass = session.motion, session.mass
         if not undriven(self.model.machine.balances):
             return motion
@@ -128,8 +136,12 @@ class SimulatedMachine:
         for first, last in pairwise(edges):
             if first < last:
                 here, psi = slice(first, last + 1), self.psi + mass[first:last].mean() * load
-                for whole, part in zip(made, passive_motion(self.model, motion.t[here], (
-                        made[0][here], made[1][here], made[2][here]), psi), strict=True):
+                before = made[0][here], made[1][here], made[2][here]
+                try:
+                    parts = passive_motion(self.model, motion.t[here], before, psi)
+                except ProblemError as error:
+                    raise SwingsTooFarError from error
+                for whole, part in zip(made, parts, strict=True):
                     whole[here] = part
         return replace(motion, q=made[0], qd=made[1], qdd=made[2])
 

@@ -19,6 +19,7 @@ from fixtures.tiers import tiered
 from fixtures.tools import must
 from hydroopt.codegen.scale_code import scale_code
 from hydroopt.codegen.scale_tables import ScaleTables
+from hydroopt.model.carried_load import carried_load
 from hydroopt.weighing.calibrated_scale import scale
 from hydroopt.weighing.course import Weighable, course
 from hydroopt.weighing.equations import equations
@@ -47,6 +48,7 @@ LOADS = {
     "cat215b": (scale_fuzz.LOADS["cat215b"], 900.0),
     "patu655_lift": (scale_fuzz.LOADS["patu655_lift"], 400.0),
     "wheel_loader": (CarriedLoad("bucket", (0.42, 0.28, 0.0), (0.1, 0.1, 0.1), 1500.0), 900.0),
+    "forestry_crane": (CarriedLoad("rotator", (0.0, 0.0, 0.8), (0.1, 0.1, 0.1), 600.0), 300.0),
 }
 LOADS |= {name + KNOWN_LOAD: each for name, each in LOADS.items()}
 TARE = 10.0
@@ -108,7 +110,7 @@ def subject(machine: str) -> tuple[Scale, ho.Log]:
         ho.random_trajectory(model, duration=duration, rate=RATE, seed=k) for k, duration in ((1, 60.0), (2, 24.0))
     ]
     made = scale(model, ho.simulate(model, motions[0], truth, seed=1), load, uncertain=Uncertain(gain=0.004))
-    loaded = truth + mass * made.carried[:, 0]
+    loaded = truth + mass * carried_load(model, load.link, load.centre)[:, 0]
     if machine.endswith(KNOWN_LOAD):
         made = learned(made, ho.simulate(model, motions[1], loaded, seed=5), mass, 2.0)
     before, after = (ho.simulate(model, motions[1], psi, seed=4) for psi in (truth, loaded))
