@@ -8,6 +8,7 @@ import numpy as np
 
 from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
 from hydroopt.simulation import postures
+from studies.pose_faults import few
 from studies.show import table
 
 FIRST = 5000
@@ -265,4 +266,4 @@ def run(first: int = FIRST, repeats: int = REPEATS, sound: int = SOUND) -> dict:
             "false_alarms": round((well - healthy["right"]) / well, 3),
             **{f"{way.replace(' ', '_')}": round(faulty[way] / total, 3) for way in ways[1:4]},
             "right_by_fault": {f"{name}: {fault}": f"{counts['right']}/{sum(counts.values())}"
-                               for (name, fault), counts in found.items() if fault}}
+                               for (name, fault), counts in found.items() if fault}} | few.run()

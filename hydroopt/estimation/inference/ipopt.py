@@ -24,6 +24,7 @@ _IPOPT_WORDS = {
     "Maximum_Iterations_Exceeded": "it ran out of iterations",
     "Restoration_Failed": "it found no point that fulfils the constraints",
     "Diverging_Iterates": "the parameters diverge",
+    "Error_In_Step_Computation": "no step could be computed",
     "Invalid_Number_Detected": "an expression is not a number at some point",
 }
 

@@ -51,9 +51,9 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
     for k in range(starts):
         try:
             answers.append(optimum(problem, method, random_start(problem, rng) if k else problem.start))
-        except SolverError:
+        except SolverError as error:
             if starts == 1 or (k == starts - 1 and not answers):
-                raise
+                raise _with_farthest_pose(problem, error) from None
             failed += 1
     answers.sort(key=lambda answer: answer.cost)
     _, theta, q, stages = answers[0]
@@ -151,6 +151,21 @@ def optimum(problem: CalibrationProblem, method: str, start: Array) -> Optimum:
     # a solver keeps bounds to its tolerance only; a machine must keep them to the last digit
     theta = np.clip(theta, problem.parameters.lower, problem.parameters.upper)
     return Optimum(_cost(problem, theta, q), theta, q, stages)
+
+
+def _with_farthest_pose(problem: CalibrationProblem, error: SolverError) -> SolverError:
+    """The error with the pose to look at first: its readings are farthest from the geometry that the file states."""
+    q = closed_angles(problem, problem.start, guess_unsensed(problem, problem.start))
+    linearised = linearise(problem, problem.start, np.where(problem.layout.moving, q, problem.layout.reading))
+    by_scale = linearised.jacobian * np.where(problem.free, problem.parameters.scale, 0.0)
+    covariance = np.eye(by_scale.shape[1]) + by_scale @ by_scale.transpose(0, 2, 1)
+    distance = np.einsum("nu,nu->n", linearised.residual,
+                         np.linalg.solve(covariance, linearised.residual[:, :, None])[:, :, 0])
+    farthest = int(np.argmax(distance / np.maximum(linearised.rank, 1)))
+    file, row = problem.poses.file[farthest] or problem.poses.name, problem.poses.row[farthest]
+    return SolverError(error.what, where=f"{file}, data row {row}", remedy="this row's readings are farthest from what "
+                       "the machine file states: correct them or leave the row out; else start from a better nominal "
+                       "machine")
 
 
 def _refuse_too_few(problem: CalibrationProblem) -> None:

@@ -30,9 +30,6 @@ ECCENTRIC = 0.02
 """Usual eccentricity of a sensor [rad]."""
 TURNS = 1.0
 """Range of an angle [rad] from which on an eccentricity differs from an offset and a scale."""
-FEWEST_OF_TURN = 10
-"""Poses from which on an error that repeats once a turn is sought, as `SHORTEST` on both sides of a move."""
-
 
 STANDS = ("x", "y", "z", "rx", "ry", "rz", "roll", "pitch", "yaw")
 """Ends of the names of numbers that say where an instrument stands."""
@@ -119,7 +116,7 @@ def faults(problem: CalibrationProblem, q: Array, linearised: Linearised) -> Ite
             prismatic = problem.model.machine.channel_units[f"{joint}.q"] == "m"
             unit = "mm" if prismatic else "deg"
             yield from _of_sensor(problem, joint, column, q[:, k], sensed, sigma, unit, starts)
-            if not prismatic and np.count_nonzero(sensed) >= FEWEST_OF_TURN and np.ptp(q[sensed, k]) > TURNS:
+            if not prismatic and np.ptp(q[sensed, k]) > TURNS:
                 turn = np.stack([np.cos(q[:, k]), np.sin(q[:, k])], axis=1) * sensed[:, None]
                 yield Fault(SuspectKind.GEAR, joint, sensed, column * turn[:, None, :], np.ones(len(q)),
                             BEYOND * sigma, usual=ECCENTRIC)

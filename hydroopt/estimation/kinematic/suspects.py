@@ -9,6 +9,7 @@ tried (Schwarz's criterion). Else all explanations that the data leave are named
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,6 +29,12 @@ LARGER = 2.0
 """How many times the others' typical error a stage must show: smaller differences are the model's, not the stage's."""
 WILDER = 1.5
 """How many times the errors' variance a pose's must be: tails of real errors are longer than a Gaussian's."""
+STATED = 8.0
+"""Degrees of freedom that the stated accuracy counts for in the errors' variance: few poses say little of it."""
+MEDIAN = 0.64
+"""Part of the degrees of freedom that a median keeps of those that a mean has: its efficiency."""
+BLOCK = 0.5
+"""Degrees of freedom of the poses that the median counts as one: of less, a median is hardly above zero."""
 EXACT = 1e-3
 """Least variance of the errors, in units of the stated one, so that nothing is suspect without noise."""
 TURNED = 0.05
@@ -60,8 +67,8 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
     """All suspects: the best explanation of the errors, then the best one of what it leaves, and so on."""
     misfit, found, wild = _Misfit(problem, linearised, identified), list[Suspect](), np.zeros(len(q), dtype=bool)
     if problem.loss != "squares":  # a robust answer knows wild poses, which least squares would follow
-        square = linearised.pose_square / _typical(linearised.pose_square, misfit.rank)
-        wild |= special.chdtrc(misfit.rank, square / WILDER) < FALSE_ALARM / len(q)
+        variance = misfit.variance_of(linearised.pose_square)
+        wild |= misfit.chance(linearised.pose_square, variance * WILDER) < FALSE_ALARM / len(q)
         misfit.set_aside(wild)
     candidates, explained = list(faults(problem, q, linearised)), 0.0
     for _ in range(MOST):
@@ -90,10 +97,10 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
                     break  # what else the model lacks would only be imitated by further faults
             explained += leading.drop
             misfit.explain(leading)
-    square = misfit.square / _typical(misfit.square[misfit.kept], misfit.rank[misfit.kept])
+    square, variance = misfit.square, misfit.variance
     # also beside what was found later
-    wild &= (special.chdtrc(misfit.rank, square / WILDER) < FALSE_ALARM / len(q)) & (misfit.square > LINEAR * explained)
-    return (*_one_plane(problem, q), *found, *_outliers(problem, square, misfit.rank, wild))
+    wild &= (misfit.chance(square, variance * WILDER) < FALSE_ALARM / len(q)) & (square > LINEAR * explained)
+    return (*_one_plane(problem, q), *found, *_outliers(problem, square / variance, misfit.rank, wild))
 
 
 class _Explanation(NamedTuple):
@@ -120,7 +127,13 @@ class _Explanation(NamedTuple):
 
 
 class _Misfit:
-    """Whitened residuals of all rows, without what the free parameters and faults found so far can explain."""
+    """Whitened residuals of all rows, without what the free parameters and faults found so far can explain.
+
+    Attributes:
+        rank: (N,) rows of each pose that tell anything.
+        kept: (N,) poses that are not set aside.
+        freedom: (N,) degrees of freedom of each pose's residual: its rank less what the free parameters follow of it.
+    """
 
     def __init__(self, problem: CalibrationProblem, linearised: Linearised, identified: Observability) -> None:
         free = np.flatnonzero(problem.free)
@@ -139,6 +152,8 @@ class _Misfit:
         self.basis = basis[:, s > 1e-9 * s[0]] if s.size else basis
         self.rows = rows
         self.residual = self._across(self._raw * rows)
+        leverage = np.sum(self.basis[: self.kept.size * self.shape[1]] ** 2, axis=1).reshape(self.shape).sum(axis=1)
+        self.freedom = np.where(self.kept, np.maximum(self.rank - leverage, 0.0), self.rank)
 
     def _across(self, column: Array) -> Array:
         return np.asarray(column - self.basis @ (self.basis.T @ column))
@@ -156,9 +171,23 @@ class _Misfit:
         return np.asarray(square)
 
     @property
-    def total(self) -> float:
-        """The sum of all squared errors."""
-        return float(self.residual @ self.residual)
+    def variance(self) -> float:
+        """Variance of the errors in units of the stated one."""
+        return self.variance_of(self.square)
+
+    @property
+    def spare(self) -> float:
+        """Degrees of freedom of the variance."""
+        return STATED + MEDIAN * float(np.sum(self.freedom[self.kept]))
+
+    def variance_of(self, square: Array) -> float:
+        """Variance of the errors by the poses' squared ones (N,), few of which leave it near what is stated."""
+        typical = _typical(square[self.kept], self.freedom[self.kept])
+        return max((STATED + (self.spare - STATED) * typical) / self.spare, EXACT)
+
+    def chance(self, square: Array, variance: float | Array) -> Array:
+        """(N,) chance of squared errors (N,) as large as these, if theirs is a variance that is estimated."""
+        return np.asarray(special.fdtrc(self.rank, self.spare, square / self.rank / variance))
 
     @property
     def pose_gain(self) -> Array:
@@ -192,10 +221,18 @@ class _Misfit:
         freedom = int(np.sum(np.diag(information) > fault.information))
         return _Explanation(fault, amount, float(toward @ amount), across @ amount, max(freedom, 1), visible)
 
-    def typical_after(self, found: _Explanation) -> float:
-        """Variance of the errors, in units of the stated one, that is left once a fault is explained."""
+    @property
+    def variance_without(self) -> Array:
+        """(N,) variance of the errors, in units of the stated one, if one pose is left out, by the mean of all rows."""
+        blank = np.sum(self.shape[1] - self.rank[self.kept])
+        left = np.maximum(np.count_nonzero(self.rows) - blank - self.basis.shape[1] - self.rank, 0)
+        square = np.maximum(float(self.residual @ self.residual) - self.pose_gain, 0.0)
+        return np.asarray((STATED + square) / (STATED + left))
+
+    def variance_after(self, found: _Explanation) -> float:
+        """Variance of the errors that is left once a fault is explained."""
         inside = (self.residual + found.change)[: self.shape[0] * self.shape[1]].reshape(self.shape)
-        return _typical(np.sum(inside**2, axis=1)[self.kept], self.rank[self.kept])
+        return self.variance_of(np.sum(inside**2, axis=1))
 
     def chance_of_agreement(self, found: _Explanation) -> float:
         """Chance of a fault by the spread of its evidence over parts of the poses; 0 where these are too few."""
@@ -228,36 +265,48 @@ class _Misfit:
 
 def _leading(misfit: _Misfit, tested: list[_Explanation], tried: int) -> tuple[_Explanation | None, float]:
     """The best explanation, if what it explains is no chance, and the errors' variance once it is known."""
-    variance, count = _typical(misfit.square[misfit.kept], misfit.rank[misfit.kept]), len(misfit.rank)
+    variance, count = misfit.variance, len(misfit.rank)
     best = max(tested, key=lambda found: found.score(variance, count), default=None)
     if best is None:
         return None, variance
-    variance = min(variance, misfit.typical_after(best))
+    variance = min(variance, misfit.variance_after(best))
     best = max(tested, key=lambda found: found.score(variance, count))
     nearby = [found for fault in best.fault.neighbours() if (found := misfit.tested(fault)) is not None]
     best = max([best, *nearby], key=lambda found: found.score(variance, count))
-    chance = float(special.chdtrc(best.freedom, best.drop / variance))
+    chance = float(special.fdtrc(best.freedom, misfit.spare, best.drop / best.freedom / variance))
     return (best if chance < FALSE_ALARM / tried else None), variance
 
 
 def _wild(misfit: _Misfit, variance: float, least: float) -> tuple[NDArray[np.bool_], float]:
     """Poses that contradict all others one by one, by at least so much, and the criterion of leaving them out."""
     count, gain = len(misfit.rank), misfit.pose_gain
-    wild = (special.chdtrc(misfit.rank, gain / variance / WILDER) < FALSE_ALARM / count) & (gain > least)
-    if not np.any(wild) or wild.sum() > MANY * misfit.kept.sum():
-        return np.zeros(count, dtype=bool), -np.inf
+    chance = _chance_of_poses(misfit, variance)
+    wild = (chance < FALSE_ALARM / count) & (gain > least)
+    if wild.sum() > MANY * misfit.kept.sum():  # among few poses, others that follow one that is far off look wild, too
+        wild = np.arange(count) == np.argmin(chance)
+        others = copy(misfit)
+        others.set_aside(wild)
+        if np.any(_chance_of_poses(others, others.variance) < FALSE_ALARM / count):
+            return np.zeros(count, dtype=bool), -np.inf
+    if not np.any(wild):
+        return wild, -np.inf
     return wild, misfit.gain_without(wild) / variance - float(np.sum(misfit.rank[wild] + 1)) * float(np.log(count))
+
+
+def _chance_of_poses(misfit: _Misfit, variance: float) -> Array:
+    """(N,) chance of what leaving out each pose alone explains."""
+    return misfit.chance(misfit.pose_gain, np.minimum(variance, misfit.variance_without) * WILDER)
 
 
 def _noisy(problem: CalibrationProblem, misfit: _Misfit, variance: float) -> tuple[Suspect | None, float]:
     """The stage or stretch whose errors are larger than the others', and the criterion of a variance of its own."""
-    square, rank = np.where(misfit.kept, misfit.square, 0.0), np.where(misfit.kept, misfit.rank, 0)
-    found = _stages(problem, square, rank) or _stretches(problem, square / variance, rank)
+    square, freedom = np.where(misfit.kept, misfit.square, 0.0), np.where(misfit.kept, misfit.freedom, 0.0)
+    found = _stages(problem, square, freedom) or _stretches(problem, square / variance, freedom, misfit.spare)
     best, score = None, -np.inf
     for suspect in found:
-        freedom = float(rank[suspect.poses].sum())
-        ratio = float(square[suspect.poses].sum()) / freedom / variance
-        gain = freedom * (ratio - 1 - np.log(ratio)) - 2 * np.log(len(rank))
+        own = float(freedom[suspect.poses].sum())
+        ratio = float(square[suspect.poses].sum()) / own / variance
+        gain = own * (ratio - 1 - np.log(ratio)) - 2 * np.log(len(freedom))
         if gain > score:
             best, score = suspect, gain
     return best, score
@@ -308,10 +357,18 @@ def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
     return (Suspect(SuspectKind.PLANE, "", closed, _place(problem, closed), float(len(turning))),)
 
 
-def _typical(square: Array, rank: NDArray[np.int64]) -> float:
-    """Variance of the errors in units of the stated one, from the median, which a few bad poses do not move."""
-    ratio = np.median(square / special.chdtri(rank, 0.5))
-    return float(max(ratio, EXACT))
+def _typical(square: Array, freedom: Array) -> float:
+    """Variance of the errors in units of the stated one, from the median, which a few bad poses do not move.
+
+    Neighbouring poses whose residuals have little freedom each count together.
+    """
+    block = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / BLOCK + 1e-9).astype(int)
+    block = np.unique(block, return_inverse=True)[1]
+    free, squares = np.bincount(block, freedom), np.bincount(block, square)
+    if free.max(initial=0.0) < BLOCK:
+        return 1.0  # nothing is left to tell
+    enough = free >= BLOCK / 2
+    return float(np.median(squares[enough] / special.chdtri(free[enough], 0.5)))
 
 
 def _place(problem: CalibrationProblem, poses: NDArray[np.bool_]) -> str:
@@ -322,34 +379,35 @@ def _place(problem: CalibrationProblem, poses: NDArray[np.bool_]) -> str:
     return span if len(names) > 1 or "" in names else f"{span} of {next(iter(names))}"
 
 
-def _stages(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64]) -> tuple[Suspect, ...]:
+def _stages(problem: CalibrationProblem, square: Array, freedom: Array) -> tuple[Suspect, ...]:
     groups = {label: there for label in dict.fromkeys(str(s) for s in problem.poses.stage)
-              if np.any(there := (problem.poses.stage == label) & (rank > 0))}
+              if np.any(there := (problem.poses.stage == label) & (freedom > 0))}
     if len(groups) < 3:
         return ()
     # by medians, so that a few bad poses do not make their whole stage suspect
-    size = {label: float(np.sqrt(_typical(square[g], rank[g]))) for label, g in groups.items()}
+    size = {label: float(np.sqrt(_typical(square[g], freedom[g]))) for label, g in groups.items()}
     found = []
     for label, poses in groups.items():
         usual = float(np.median([value for other, value in size.items() if other != label]))
         ratio = size[label] / usual if usual else 1.0
-        chance = special.fdtrc(rank[poses].sum(), rank[~poses].sum(), ratio**2)
+        chance = special.fdtrc(MEDIAN * freedom[poses].sum(), MEDIAN * freedom[~poses].sum(), ratio**2)
         if ratio > LARGER and chance < FALSE_ALARM / len(groups):
             found.append(Suspect(SuspectKind.STAGE, label, poses, _place(problem, poses), ratio))
     return tuple(sorted(found, key=lambda s: -s.strength))
 
 
-def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64]) -> tuple[Suspect, ...]:
+def _stretches(problem: CalibrationProblem, square: Array, freedom: Array, spare: float) -> tuple[Suspect, ...]:
     """The worst run of neighbouring poses in every stage, if its errors are too large for chance.
 
     No single pose counts for more than makes it wild by itself, so that it makes no stretch of its neighbours.
     """
     found = []
-    square = np.minimum(square, WILDER * special.chdtri(np.maximum(rank, 1), FALSE_ALARM / len(square)))
+    own = np.where(freedom > 0, freedom, 1.0)
+    square = np.minimum(square, WILDER * own * special.fdtri(own, spare, 1 - FALSE_ALARM / len(square)))
     for label in dict.fromkeys(str(s) for s in problem.poses.stage):
-        rows = np.flatnonzero((problem.poses.stage == label) & (rank > 0))
+        rows = np.flatnonzero((problem.poses.stage == label) & (freedom > 0))
         total = np.concatenate([[0], np.cumsum(square[rows])])
-        freedom = np.concatenate([[0], np.cumsum(rank[rows])])
+        free = np.concatenate([[0], np.cumsum(freedom[rows])])
         # lengths that grow by a quarter: all would take the square of the number of poses
         sizes = np.unique(np.round(SHORTEST * 1.25 ** np.arange(60)).astype(int))
         sizes = sizes[sizes <= len(rows) // 2]
@@ -358,16 +416,17 @@ def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int6
         first = np.concatenate([np.arange(len(rows) - size + 1) for size in sizes])
         last = first + np.repeat(sizes, len(rows) - sizes + 1)
         windows = len(first)
-        large = total[last] - total[first] > LARGER * (freedom[last] - freedom[first])  # others are no alarm
+        large = total[last] - total[first] > LARGER * (free[last] - free[first])  # others are no alarm
         if not np.any(large):
             continue
         first, last = first[large], last[large]
-        chance = special.chdtrc(freedom[last] - freedom[first], (total[last] - total[first]) / LARGER)
+        inside = free[last] - free[first]
+        chance = special.fdtrc(inside, spare, (total[last] - total[first]) / inside / LARGER)
         best = int(np.argmin(chance))
         if chance[best] < FALSE_ALARM / windows:
             poses = np.zeros(len(square), bool)
             poses[rows[first[best] : last[best]]] = True
-            size = float(np.sqrt(square[poses].sum() / rank[poses].sum()))
+            size = float(np.sqrt(square[poses].sum() / freedom[poses].sum()))
             found.append(Suspect(SuspectKind.STRETCH, label, poses, _place(problem, poses), size))
     return tuple(found)
 

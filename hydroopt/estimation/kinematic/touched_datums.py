@@ -1,4 +1,4 @@
-"""Planes and lines that are touched too seldom to tell anything of the geometry."""
+"""Planes and lines that are touched too seldom to tell anything of the geometry, if nothing is known of them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ FEWEST = {"plane": 4, "line": 3}
 
 
 def refuse_untouched(problem: CalibrationProblem) -> None:
-    """Refuse a datum of unknown place that too few poses touch.
+    """Refuse a datum of unknown place that too few poses touch, unless confidences say where it may be.
 
     Raises:
         ProblemError: which datum, and how many poses it takes.
     """
+    if problem.priors:
+        return
     model, names = problem.model, problem.parameters.names
     unknown = {name.partition(".")[0] for name, free in zip(names, problem.free, strict=True) if free}
     for datum in model.machine.datums:
@@ -27,4 +29,5 @@ def refuse_untouched(problem: CalibrationProblem) -> None:
             raise ProblemError(
                 f"the {datum.kind} '{datum.name}', whose place is not known, is touched {touches} "
                 f"time{'s' * (touches != 1)} only", where=f"poses of {problem.poses.name}",
-                remedy=f"touch it in {FEWEST[datum.kind]} poses or more, or state its place without a 'sigma'")
+                remedy=f"touch it in {FEWEST[datum.kind]} poses or more, use its confidence, or state its place "
+                       "without a 'sigma'")

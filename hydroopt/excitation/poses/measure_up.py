@@ -221,6 +221,7 @@ class _Choice:
         self.calibration, self.there = self.postures.calibration, self.postures.there
         self.by_hand = np.array([each.by_hand for each in problem.readings])
         self.minutes = np.array([each.minutes for each in problem.readings])
+        self.touching = labels.touch[:, None] == np.array([each.name for each in problem.readings])
         self.chosen = np.zeros(self.there.shape, dtype=bool)
         self.free, self.scale = self.postures.free, self.postures.scale
         self.known = self.information = self.postures.prior
@@ -297,8 +298,7 @@ class _Choice:
         single = [~self.by_hand | (np.arange(len(self.by_hand)) == r) for r in hands]
         made = []
         for kind in [*single, np.ones(len(self.by_hand), dtype=bool)] if len(hands) > 1 else single:
-            read = self.there & kind
-            read[~(read & self.by_hand).any(axis=1)] = False
+            read = self._sensible(self.there & kind, self.touching)
             made.append((read, self.postures.rows_of(np.arange(len(self.q)), read),
                          DRIVE + float((read * self.minutes).sum(axis=1).max())))
         return made
@@ -317,13 +317,20 @@ class _Choice:
                 continue
             some, read = places[changing], self.chosen[places[changing]].copy()
             read[:, r] ^= True
-            alone = ~(read & self.by_hand).any(axis=1)
-            read[alone] = False  # no one drives there for what reads by itself
+            read = self._sensible(read, self.touching[some])
             other = self.postures.rows_of(some, read)
             other = other.transpose(0, 2, 1) @ other
-            for k, at, more in zip(some, alone, np.where(read[:, r, None, None], 1, -1) * (other - now[changing]),
-                                   strict=True):
-                yield int(k), int(r), more, float(self.minutes[r] + (DRIVE if at else 0.0))
+            left = read.any(axis=1)
+            spent = np.abs(read.astype(float) - self.chosen[some]) @ self.minutes + np.where(left, 0.0, DRIVE)
+            for k, more, minutes in zip(some, np.where(read[:, r, None, None], 1, -1) * (other - now[changing]), spent,
+                                        strict=True):
+                yield int(k), int(r), more, float(minutes)
+
+    def _sensible(self, read: NDArray[np.bool_], touching: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Readings (K, R) without those of postures to which no one drives: where nothing is read by hand, or the
+        machine would touch a datum (K, R) that is not read."""
+        there = (read & self.by_hand).any(axis=1) & ~(touching & ~read).any(axis=1)
+        return np.asarray(read & there[:, None])
 
     def drop_superfluous(self) -> None:
         """Leave out, the least useful per minute first, readings without which the tip is known well enough."""
@@ -347,7 +354,7 @@ class _Choice:
                 several = several[: len(several) // 2]
             for k, (r, less) in several:
                 self.chosen[k, r] = False
-                self.chosen[k] &= bool((self.chosen[k] & self.by_hand).any())
+                self.chosen[[k]] = self._sensible(self.chosen[[k]], self.touching[[k]])
                 self.information = self.information - less
 
     def polish(self, progress: Progress) -> None:
@@ -368,9 +375,6 @@ class _Choice:
         places = np.flatnonzero(self.chosen.any(axis=1))
         read = self.chosen[places]
         labels = PoseLabels(*(np.asarray(each)[places] for each in self.labels))
-        names = np.array([each.name for each in self.problem.readings])
-        touched = (read & (labels.touch[:, None] == names)).any(axis=1)
-        labels = labels._replace(touch=np.where(touched, labels.touch, ""))
         kept = self.calibration.without(~np.isin(np.arange(len(self.q)), places))
         kept = self.postures.reading(kept, read)
         q, model = self.q[places], self.problem.poses.model

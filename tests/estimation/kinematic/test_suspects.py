@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 
 from hydroopt import load_machine, pose_problem, solve
+from hydroopt.errors import SolverError
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.problem import calibration_problem
@@ -138,3 +142,38 @@ def test_limits_give_way_to_poses_and_intervals_are_held_against_others(sound: P
     assert 0.88 < calibration.tested.coverage <= 1
     assert calibration.tested.ratio == pytest.approx(1, abs=0.15)
     assert not of_kind(calibration.diagnostics, Kind.INTERVALS_TOO_NARROW)
+
+
+@cache
+def few(name: str, count: int) -> Poses:
+    """Planned postures of a machine."""
+    return solve(pose_problem(load_machine(name), count, priors=True), candidates=10).postures
+
+
+def read_by(name: str, planned: Poses, seed: int, **wrong: tuple[int, float]) -> Calibration:
+    """The calibration of a drawn machine from what it reads in planned postures; single rows are off by amounts."""
+    machine = load_machine(name)
+    table = simulate_poses(KinematicModel(machine), planned, random=True, seed=seed).poses
+    channels = dict(table.channels)
+    for channel, (row, amount) in wrong.items():
+        channels[channel.replace("__", ".")] = channels[channel.replace("__", ".")] + amount * (
+            np.arange(len(table)) == row)
+    return calibrate(calibration_problem(machine, replace(table, channels=channels)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_few_sound_poses_raise_no_suspicion(seed: int) -> None:
+    assert not read_by("tampere_manipulator", few("tampere_manipulator", 4), seed).suspects
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_gross_error_among_few_poses_is_named(row: int) -> None:
+    found = read_by("tampere_manipulator", few("tampere_manipulator", 4), 1, lift_cylinder__length=(row, 0.1))
+    assert [int(np.argmax(each.poses)) for each in found.suspects if each.kind == "pose"] == [row]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", range(2))
+def test_a_reading_that_opens_a_linkage_is_named_by_its_row(row: int) -> None:
+    with pytest.raises(SolverError, match=rf"data row {row + 1}: IPOPT failed: .* farthest from what the machine file"):
+        read_by("backhoe", few("backhoe", 6), 6, bucket_cylinder__length=(row, 0.2))
