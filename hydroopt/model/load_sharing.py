@@ -21,19 +21,22 @@ def shared_load(machine: Machine, transmission: ca.SX, load: ca.SX) -> ca.SX:
         load: (n,) generalised forces [N·m or N].
     """
     driven = [k for k, drivers in enumerate(machine.drivers.values()) if drivers]
-    arms = transmission[:, driven].T
-    if arms.size1() == arms.size2():
-        return _solved(arms, load[driven])
-    square = ca.diag(ca.DM([each.capacity**2 for each in machine.actuators]))
-    return square @ arms.T @ _solved(arms @ square @ arms.T, load[driven])
+    arms, carried = ca.sparsify(transmission[:, driven].T), load[driven]
+    square = ca.DM([each.capacity**2 for each in machine.actuators])
+    force = ca.SX.zeros(len(machine.actuators))
+    count, order, first = (arms @ arms.T).sparsity().scc()
+    for joints in (order[first[i] : first[i + 1]] for i in range(count)):  # that share no actuator with others
+        there = sorted(set(arms[joints, :].sparsity().get_triplet()[1]))
+        force[there] = _shared(arms[joints, there], square[there], carried[joints])
+    return force
 
 
 def lever_arms(machine: Machine, transmission: ca.SX) -> list[ca.SX]:
     """Lever arm [m or 1] of the actuators that are there to move each driven joint, all together: where one is zero the
     load cannot be shared.
 
-    It is the root of the pivot of `shared_load`'s equations, joints behind it eliminated, over the greatest capacity:
-    the lever arm itself where one actuator is there.
+    It is the root of the pivot of the equations for the least squares, joints behind it eliminated, over the greatest
+    capacity: the lever arm itself where one actuator is there.
     """
     found: list[ca.SX] = []
     driven = [k for k, drivers in enumerate(machine.drivers.values()) if drivers]
@@ -44,6 +47,14 @@ def lever_arms(machine: Machine, transmission: ca.SX) -> list[ca.SX]:
         found.insert(0, ca.sqrt(gram[k, k]) / most)
         gram = gram[:k, :k] - gram[:k, k] @ gram[k, :k] / gram[k, k]
     return found
+
+
+def _shared(arms: ca.SX, square: ca.DM, load: ca.SX) -> ca.SX:
+    """Forces (a,) that make a load (n,) by arms (n, a): the only ones, or those of least squares over `square` (a,)."""
+    if arms.size1() == arms.size2():  # the general equations would square the condition of these
+        return _solved(arms, load)
+    given = ca.diag(square) @ arms.T
+    return given @ _solved(arms @ given, load)
 
 
 def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:

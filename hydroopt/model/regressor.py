@@ -266,14 +266,13 @@ class Dynamics:
             force, plane = _along(J, torque[moving], rank)
             return ca.vertcat(-force, ca.SX.zeros(3)), plane
         wide = len(moving) >= rows
-        gram = J @ J.T if wide else J.T @ J
-        pivots, lower, order = ca.ldl(gram, False)
+        columns = J.T if wide else J
+        Q, R = ca.qr(columns)  # equations for the least squares would square their condition
         least = 1.0
-        for pivot, size in zip(ca.vertsplit(pivots), ca.vertsplit(ca.diag(gram)), strict=True):
-            least = least * pivot / size
-        found = (ca.ldl_solve(J @ torque[moving], pivots, lower, order) if wide
-                 else J @ ca.ldl_solve(torque[moving], pivots, lower, order))
-        # where a pivot is zero, those after it are no numbers
+        for k in range(R.size1()):
+            least = least * R[k, k] ** 2 / ca.sumsqr(columns[:, k])
+        found = ca.solve(R, Q.T @ torque[moving]) if wide else Q @ ca.solve(R.T, torque[moving])
+        # where a column depends on those before it, those after it are no numbers
         return ca.vertcat(-found, ca.SX.zeros(6 - rows)), ca.fmax(least, 0.0)
 
     def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:

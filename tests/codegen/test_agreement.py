@@ -417,12 +417,6 @@ def has(subject: str, routine: str) -> bool:
 
 PAIRS = [(subject, routine) for subject in EVERY for routine in PLAIN
          if routine not in ELSEWHERE and has(subject, routine)]
-SMALL = {("forestry_crane", "tip_wrench", "float")}
-"""Here the wrench is the difference of forces that are a thousand times as large, of which single precision keeps 1e-7.
-"""
-
-CANCELS = {("crossing", "inverse_dynamics", "float"), ("crossing", "tip_wrench", "float")}
-"""Here the force that is not measured is eliminated by a ratio of lever arms, and rounding grows to 1.4e-5."""
 
 
 @pytest.mark.parametrize("subject", tiered(EVERY, lambda subject: subject in QUICK_BUILDS))
@@ -437,11 +431,8 @@ def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> N
 
 @pytest.mark.parametrize(("subject", "routine", "real", "level"), tiered((
     (subject, routine, real, level) for subject, routine in PAIRS
-    for real, level in FEWER_BUILDS.get(subject, BUILDS) if (subject, routine, real) not in SMALL), quick))
-def test_routines_say_what_the_model_says(subject: str, routine: str, real: str, level: str, libraries,
-                                          request: pytest.FixtureRequest) -> None:
-    if (subject, routine, real) in CANCELS:
-        request.applymarker(pytest.mark.xfail(reason="the bound of 1e-5 is missed by a third in single precision"))
+    for real, level in FEWER_BUILDS.get(subject, BUILDS)), quick))
+def test_routines_say_what_the_model_says(subject: str, routine: str, real: str, level: str, libraries) -> None:
     judge(case(subject), libraries(subject, real, level), routine, real)
 
 
