@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +19,11 @@ from pathlib import Path
 import platformdirs
 
 from hydroopt import files
+
+UNUSED = 90 * 24 * 3600.0
+"""For how long [s] nothing has read what is removed once something new is kept."""
+OWN = re.compile(r"[0-9a-f]{32}[-.]")
+"""Beginning of the names of what is kept: ``$HYDROOPT_CACHE`` may hold other files, too."""
 
 
 def folder(part: str = "") -> Path:
@@ -46,7 +53,7 @@ def folder(part: str = "") -> Path:
 def scratch(inside: Path | None = None) -> Iterator[Path]:
     """A new folder for this user alone, in the cache or among the system's temporary files; removed at the end.
 
-    What killed processes left in the cache is removed first.
+    What killed processes left in the cache, and what has long been unused there, is removed first.
 
     Raises:
         PermissionError: others could put something else in its place.
@@ -54,6 +61,7 @@ def scratch(inside: Path | None = None) -> Iterator[Path]:
     """
     if inside is not None:
         files.clean(inside)
+        _remove_unused(inside)
         with files.scratch(inside, mode=0o700) as made:
             yield made
         return
@@ -95,6 +103,17 @@ def keep(name: str, content: bytes) -> None:
             file.write_bytes(hashlib.sha256(content).digest() + content)
             file.chmod(0o600)  # whatever the umask: nobody else may write it
             file.replace(place / name)
+
+
+def _remove_unused(place: Path) -> None:
+    """Remove what is kept directly in a folder and has not been read for `UNUSED`."""
+    with os.scandir(place) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if OWN.match(entry.name) and entry.is_file(follow_symlinks=False):
+                    state = entry.stat(follow_symlinks=False)
+                    if time.time() - max(state.st_atime, state.st_mtime) > UNUSED:
+                        Path(entry.path).unlink()
 
 
 def _refuse_foreign(path: Path) -> None:

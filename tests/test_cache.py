@@ -120,3 +120,13 @@ def test_without_a_home_nothing_is_kept_in_the_working_directory(tmp_path: Path,
     with pytest.raises(OSError, match="no home"):
         cache.folder()
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_kept_and_long_unused_is_removed_and_nothing_else(home: Path) -> None:
+    old, young, other = f"{'a' * 32}.function", f"{'b' * 32}.function", "notes.txt"
+    for name in (old, young, other):
+        cache.keep(name, b"content")
+    for name in (old, other):
+        os.utime(cache.folder() / name, (0, 0))
+    cache.keep(f"{'c' * 32}.function", b"content")
+    assert sorted(os.listdir(cache.folder())) == [young, f"{'c' * 32}.function", other]
