@@ -10,10 +10,11 @@ from hydroopt import KinematicModel, calibration_problem, load_machine
 from hydroopt.estimation.kinematic.calibrate import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.estimation.kinematic.workspace import machine_end
+from hydroopt.excitation.poses.exchange import Sieve
 from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
 from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
 from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, calibration_of, pose_problem
-from hydroopt.limits.reserves import Reserves
+from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
@@ -24,7 +25,8 @@ STEPS = (3, 5, 12, 28)
 DRAWS, POINTS = 60, 400
 """Machines drawn from the file's confidences; postures at which the tip is judged."""
 REST = {"swing": 0.0, "boom": 0.2, "stick": -1.6, "bucket": -1.0}
-"""Where the other joints stand [rad] while one is swung."""
+"""Where the other joints stand [rad] while one is swung, and where they do so that swings keep more of the reserves."""
+RAISED = REST | {"boom": 0.7, "stick": -1.0}
 
 
 def workspace(model: KinematicModel) -> np.ndarray:
@@ -32,10 +34,10 @@ def workspace(model: KinematicModel) -> np.ndarray:
     return np.random.default_rng(1).uniform(*postures.limits(model), (POINTS, len(model.joints)))
 
 
-def swings(problem: PoseProblem, count: int) -> np.ndarray:
+def swings(problem: PoseProblem, count: int, standing: dict[str, float]) -> np.ndarray:
     """Curl, crowd, lift and swing: every joint through so many equal steps, all others at rest (4·count, n)."""
     low, high = postures.limits(problem.model)
-    rest = np.array([REST[joint] for joint in problem.model.joints])
+    rest = np.array([standing[joint] for joint in problem.model.joints])
     made = []
     for k in range(len(rest)):
         q = np.repeat(rest[None], count, axis=0)
@@ -100,23 +102,39 @@ def taken_of(plan: MeasureUpPlan, channel: str) -> np.ndarray:
     return np.ones(len(plan.q), dtype=bool)
 
 
+def kept_swings(problem: PoseProblem, count: int) -> np.ndarray:
+    """Swings in so many steps (4·count, n), each over the part of its range that keeps the reserves."""
+    sieve, many = Sieve(problem.limits, problem.groups[0]), 400
+    made = []
+    for one in np.split(swings(problem, many, RAISED), len(problem.model.joints)):
+        kept = sieve(one, problem.model.parameters.nominal)
+        made.append(kept[np.linspace(0, len(kept) - 1, count).astype(int)])
+    return np.concatenate(made)
+
+
+def compared(machine: Machine, q: np.ndarray, reserves: Reserves, ending: str) -> dict:
+    """Readings for the accuracy that swings (N, n) give, and errors of drawn machines over the planned deviation."""
+    alone = edge_alone(machine)
+    target, name = tip_std(alone, q), f"{len(q)}_swings{ending}"
+    plan = fewest_readings(measure_up_problem(machine, tip=target, reserves=reserves))
+    own = fewest_readings(measure_up_problem(alone, tip=target, reserves=reserves))
+    error, coverage = achieved(plan, machine, machine)
+    wider, _ = achieved(plan, machine, twice_as_far_off())
+    return {f"tip_mm_{name}": round(1e3 * target, 1), f"readings_{name}": plan.count,
+            f"postures_{name}": len(plan.q), f"minutes_{name}": plan.minutes,
+            f"fewer_{name}": round(len(q) / plan.count, 2), f"fewer_edge_alone_{name}": round(len(q) / own.count, 2),
+            f"achieved_over_planned_{name}": round(error / plan.tip, 3), f"coverage_{name}": round(coverage, 3),
+            f"achieved_over_planned_twice_as_far_off_{name}": round(wider / plan.tip, 3)}
+
+
 def run() -> dict:
-    """Readings for the accuracy that swings give, and errors of drawn machines over the planned deviation."""
-    # the swings ask neither for ground nor for strength, and neither do the plans that they are compared with
-    machine = load_machine(MACHINE).model_copy(update={"ground": None})
-    alone, result = edge_alone(machine), {}
-    problem = pose_problem(alone, 1, priors=True)
+    """By number of steps: without ground and reserves, and with those that are kept by default."""
+    machine, result = load_machine(MACHINE), {}
+    bare = machine.model_copy(update={"ground": None})
+    problem = pose_problem(edge_alone(bare), 1, priors=True)
     for steps in STEPS:
-        q = swings(problem, steps)
-        target, name = tip_std(alone, q), f"{len(q)}_swings"
-        plan = fewest_readings(measure_up_problem(machine, tip=target, reserves=Reserves.none()))
-        own = fewest_readings(measure_up_problem(alone, tip=target, reserves=Reserves.none()))
-        error, coverage = achieved(plan, machine, machine)
-        wider, _ = achieved(plan, machine, twice_as_far_off())
-        result |= {f"tip_mm_{name}": round(1e3 * target, 1), f"readings_{name}": plan.count,
-                   f"postures_{name}": len(plan.q), f"minutes_{name}": plan.minutes,
-                   f"fewer_{name}": round(len(q) / plan.count, 2),
-                   f"fewer_edge_alone_{name}": round(len(q) / own.count, 2),
-                   f"achieved_over_planned_{name}": round(error / plan.tip, 3), f"coverage_{name}": round(coverage, 3),
-                   f"achieved_over_planned_twice_as_far_off_{name}": round(wider / plan.tip, 3)}
+        result |= compared(bare, swings(problem, steps, REST), Reserves.none(), "")
+    problem = pose_problem(edge_alone(machine), 1, priors=True)
+    for steps in STEPS:
+        result |= compared(machine, kept_swings(problem, steps), DEFAULT, "_with_reserves")
     return result

@@ -12,6 +12,8 @@ from hydroopt.estimation.kinematic.suspect import SuspectKind
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
 SHIFT = 1.959964
+SIZES, SUBSETS = (10, 20, 40, 80), 20
+"""Numbers of poses of random subsets, and how many subsets of each."""
 
 
 def balls(model, geometry, poses) -> np.ndarray:
@@ -82,7 +84,17 @@ def run() -> dict:
                 "ours_minus_plain": mm((away[0] - away[1]).mean()), "ours_minus_plain_low": mm(low),
                 "ours_minus_plain_high": mm(high_end), "coverage_with_wild_poses": round(coverage(ours, held), 4),
                 "coverage_of_stated_error": round(coverage(cleaned(ours), held), 4)}
-    return results | coverage_of_places(machine, poses)
+    return results | coverage_of_places(machine, poses) | suspect_subsets(machine, poses.select(~high))
+
+
+def suspect_subsets(machine, poses) -> dict:
+    """Share of random subsets of sound poses, by their size, in which anything is suspected."""
+    rng, found = np.random.default_rng(5), {}
+    for size in SIZES:
+        chosen = [np.isin(np.arange(len(poses)), rng.choice(len(poses), size, replace=False)) for _ in range(SUBSETS)]
+        alarms = [bool(solve(calibration_problem(machine, poses.select(some))).suspects) for some in chosen]
+        found[f"suspect_subsets_of_{size}"] = round(float(np.mean(alarms)), 3)
+    return found
 
 
 def coverage_of_places(machine, poses) -> dict:
