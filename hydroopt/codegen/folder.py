@@ -26,6 +26,7 @@ from hydroopt.files import write_files
 from hydroopt.kernels import c_writer
 from hydroopt.kernels.c_writer import Naming, literal, statements
 from hydroopt.kernels.expression_graph import Program, program
+from hydroopt.kernels.statement_order import quick
 from hydroopt.machine.machine import Machine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.plant import Plant
@@ -322,7 +323,8 @@ class Code:
         lines = statements(self.programs_of_routines[routine.name], naming)
         checked = max((k + 1 for k, line in enumerate(lines) if " return " in line), default=0)
         early = [line for line in lines[:checked] if line.startswith("out->")]  # inputs that are results, too
-        return [*(line for line in lines[:checked] if line not in early), *early, *lines[checked:]]
+        late = [*(line for line in lines[:checked] if line not in early), *early, *lines[checked:]]
+        return quick(late, checked - len(early))
 
     def call(self, operation: str) -> str:
         """The C function of an operation."""

@@ -58,27 +58,28 @@ def in_pieces(lines: Sequence[str], size: int) -> Pieces:
     >>> in_pieces(["const double v0 = 2 * x[0];", "const double v1 = v0 * v0;", "y[0] = v0 + v1;"], 2).pieces
     [['passed[0] = 2 * x[0];', 'passed[1] = passed[0] * passed[0];'], ['y[0] = passed[0] + passed[1];']]
     """
-    at = {name: k // size for k, line in enumerate(lines) if (name := _defined(line))}
+    at = {name: k // size for k, line in enumerate(lines) if (name := defined(line))}
     across: dict[str, str] = {}
     for k, line in enumerate(lines):
-        for name in _VALUE.findall(line):
+        for name in VALUE.findall(line):
             if at[name] != k // size:
                 across.setdefault(name, f"passed[{len(across)}]")
 
     def written(line: str) -> str:
-        name = _defined(line)
+        name = defined(line)
         value = line.partition(" = ")[2] if name in across else line
-        value = _VALUE.sub(lambda found: across.get(found[0], found[0]), value)
+        value = VALUE.sub(lambda found: across.get(found[0], found[0]), value)
         return f"{across[name]} = {value}" if name in across else value
 
     made = [written(line) for line in lines]
     return Pieces([made[k : k + size] for k in range(0, len(made), size)], len(across))
 
 
-_VALUE = re.compile(r"\bv\d+\b")
+VALUE = re.compile(r"\bv\d+\b")
+"""The name of a value that serves several others."""
 
 
-def _defined(line: str) -> str:
+def defined(line: str) -> str:
     """The value that a statement names; nothing where it is an entry of an output."""
     return line.split(maxsplit=3)[2] if line.startswith("const ") else ""
 

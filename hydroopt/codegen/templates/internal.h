@@ -30,10 +30,10 @@ static inline int {{ p }}_within(const {{ type }} *x, size_t n, {{ type }} large
     return within;
 }
 
-/* -1, 0 or 1. */
+/* -1, 0 or 1, without branches, which a processor cannot foresee. */
 static inline {{ type }} {{ p }}_sign({{ type }} x)
 {
-    return (x > {{ 0 | number }}) ? {{ 1 | number }} : ((x < {{ 0 | number }}) ? {{ -1 | number }} : {{ 0 | number }});
+    return ({{ type }})(((x > {{ 0 | number }}) ? 1 : 0) - ((x < {{ 0 | number }}) ? 1 : 0));
 }
 
 {% if code.interface.machine.cylinders %}
