@@ -140,6 +140,9 @@ class ActuatorBands:
 
     def expanded(self) -> ActuatorBands:
         """The same in all columns of the actuators, with at most as many rows as columns."""
+        if all(basis.kept is basis.own and all(len(block) <= block.shape[1] for block in blocks)
+               for basis, blocks in zip(self.bases, self.rows, strict=True)):
+            return self
         made = self.copy()
         made.bases = [ColumnBasis.whole(basis.own) for basis in self.bases]
         made.rows = [[np.hstack([block[:, : len(basis.kept)] @ basis.mixing, block[:, len(basis.kept) :]])

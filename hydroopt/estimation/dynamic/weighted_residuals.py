@@ -213,7 +213,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     model, experiments = problem.model, problem.experiments
     loaded = _loaded(problem)
     point = problem.parameters.nominal if point is None else point
-    folded = [data.bands(point) for data in experiments]
+    folded = [data.bands(point).expanded() for data in experiments]
     data = compressed(folded)
     _refuse_impossible_postures(problem, data)
     holds = folded[0].holds.copy()
