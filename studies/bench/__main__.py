@@ -1,8 +1,9 @@
 """Run all parts, or those that are named; ``montecarlo=60`` takes 60 cells instead of 1000."""
 
+import os
 import sys
 
-from studies.bench import jobs, kernels
+from studies.bench import goals, jobs, kernels
 from studies.bench.calibration import calibration
 from studies.bench.closed_loop import control
 from studies.bench.excitation import excitation
@@ -31,11 +32,16 @@ def main(names: list[str]) -> None:
     unknown = set(names) - PARTS.keys()
     if unknown:
         raise SystemExit(f"there is no part {', '.join(sorted(unknown))}; use {', '.join(PARTS)}")
+    rows: list[goals.Row] = []
     for name, part in PARTS.items():
         if not names or name in names:
             print(f"{name}: {part.__doc__}")
-            part(*([sizes[name]] if name in sizes else []))
-            print()
+            found = part(*([sizes[name]] if name in sizes else [])) or []
+            if {row.goal for row in found} != goals.of_part(name):
+                raise SystemExit(f"{name} must measure {', '.join(sorted(goals.of_part(name)))}")
+            rows += found
+            print(f"\nload {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores\n", flush=True)
+    print(goals.table(rows))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
 """Kinematic calibration of a surveyed arm beside SciPy on the same problem, and of closed chains."""
 
+import math
 import tempfile
 import time
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import tomli_w
@@ -13,7 +15,8 @@ from hydroopt import KinematicModel, Poses, calibration_problem, dump_machine, l
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
-from studies.bench.jobs import HYDROOPT, measured
+from studies.bench.goals import Row
+from studies.bench.process import HYDROOPT, Cost, measured
 
 POSES = (100, 1000, 10_000)
 CHAINS = (360, 3000, 10_000)
@@ -21,9 +24,9 @@ ANGLES, READINGS = np.radians(0.02), 2e-4
 """Standard deviations of the arm's joint angles [rad] and of the tracker [m]."""
 
 
-def calibration() -> None:
+def calibration() -> list[Row]:
     """CPU time with covariance and diagnosis, kernels cached; SciPy only estimates, its rows whitened once."""
-    machine = surveyed_arm()
+    machine, taken = surveyed_arm(), []
     print(f"{'poses':>8} {'UR10 s':>8} {'SciPy s':>8} {'ratio':>6} {'apart in sigma':>15}")
     for count in POSES:
         poses = surveyed_poses(machine, count)
@@ -35,8 +38,11 @@ def calibration() -> None:
         theta = by_scipy(machine, poses)
         other = time.process_time() - began
         apart = np.max(np.abs(theta - ours.theta) / ours.std)
+        taken.append(own)
         print(f"{count:8d} {own:8.2f} {other:8.2f} {own / other:6.2f} {apart:15.1e}")
-    print("targets: 1.5 s for 10,000 poses, ratio 1")
+    whole = as_command(machine, poses)
+    rows = [Row("arm", own, "SciPy's least_squares", other), Row("arm memory", whole.peak),
+            Row("arm growth", math.log(taken[-1] / taken[-2]) / math.log(POSES[-1] / POSES[-2]))]
     machine = load_machine("cat215b")
     model = KinematicModel(machine)
     geometry, fixture = model.parameters.nominal, machine.fixtures[0].position
@@ -48,21 +54,29 @@ def calibration() -> None:
         labels = [stage.name for stage in machine.stages for _ in range(count // 3)]
         table = postures.record(model, q, labels, ["ball"] * len(q), geometry=geometry)
         solve(calibration_problem(machine, table, fixed={"ball.y": 0.0}))
-        began = time.process_time()
-        solve(calibration_problem(machine, table, fixed={"ball.y": 0.0}))
-        own = time.process_time() - began
+        own = min(seconds(machine, table) for _ in range(3))
         print(f"{count:8d} {own:8.2f} {1e3 * own / count:8.2f}")
         if count == CHAINS[0]:
-            whole = as_command(table)
-    print(f"target: 0.15 s for 360 poses; as a command with its page {whole:.2f} s")
+            whole = as_command(machine, table, "--fix", "ball.y=0 m")
+            rows.append(Row("chain", own, "`calibrate` with its page", whole.cpu))
+    return rows
 
 
-def as_command(table: Poses) -> float:
-    """CPU time [s] of `hydroopt calibrate` with these poses, the least of three runs."""
+def seconds(machine: Machine, table: Poses) -> float:
+    """CPU time [s] of one calibration of the closed chain."""
+    began = time.process_time()
+    solve(calibration_problem(machine, table, fixed={"ball.y": 0.0}))
+    return time.process_time() - began
+
+
+def as_command(machine: Machine, table: Poses, *options: str) -> Cost:
+    """`hydroopt calibrate` with these poses, the shortest of three runs."""
     with tempfile.TemporaryDirectory() as folder:
         table.write(f"{folder}/poses.csv")
-        return min(measured([HYDROOPT, "calibrate", "cat215b", f"{folder}/poses.csv", "--fix", "ball.y=0 m", "-o",
-                             f"{folder}/out", "--quiet"])[1] for _ in range(3))
+        Path(folder, "machine.toml").write_text(dump_machine(machine))
+        command = [HYDROOPT, "calibrate", f"{folder}/machine.toml", f"{folder}/poses.csv", *options, "-o",
+                   f"{folder}/out", "--quiet"]
+        return min((measured(command) for _ in range(3)), key=lambda cost: cost.cpu)
 
 
 def surveyed_arm() -> Machine:

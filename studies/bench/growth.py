@@ -1,7 +1,6 @@
 """How work grows with joints: operations, time to write and to compile the regressor, time of a sample."""
 
 import os
-import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -13,8 +12,9 @@ from hydroopt import Machine, Model, dump_machine, load_machine
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import CACHED, LANES, Kernel, kernel
 from studies.bench.contenders import motions
-from studies.bench.jobs import HYDROOPT
+from studies.bench.goals import Row
 from studies.bench.kernels import environment
+from studies.bench.process import HYDROOPT, measured
 
 JOINTS = (3, 6, 12, 24)
 CODEGEN = 24
@@ -33,7 +33,7 @@ def chain(joints: int) -> Machine:
                                           "notes": {}, "faults": {}})
 
 
-def growth() -> None:
+def growth() -> list[Row]:
     """The regressor of chains of 3 to 24 joints, one thread, CPU time; nothing is taken from the cache."""
     print(f"{'joints':>8} {'operations':>11} {'written s':>10} {'compiled s':>11} {'ns/sample':>10} {'each ns':>8}")
     rows = []
@@ -53,10 +53,9 @@ def growth() -> None:
                   f"{rows[-1][3] / operations:8.3f}")
         powers = [float(np.polyfit(np.log(JOINTS), np.log(column), 1)[0]) for column in zip(*rows, strict=True)]
         print(f"{'power of':>8} {powers[0]:11.2f} {powers[1]:10.2f} {powers[2]:11.2f} {powers[3]:10.2f}")
-        file, before = Path(folder) / "chain.toml", os.times().children_user
+        file = Path(folder) / "chain.toml"
         file.write_text(dump_machine(chain(CODEGEN)))
-        subprocess.run([HYDROOPT, "codegen", str(file), "-o", f"{folder}/c"], check=True, capture_output=True)
-        print(f"hydroopt codegen of {CODEGEN} joints: {os.times().children_user - before:.1f} s of CPU; target 30 s")
+        return [Row("codegen long", measured([HYDROOPT, "codegen", str(file), "-o", f"{folder}/c", "--quiet"]).cpu)]
 
 
 def sample_time(run: Kernel, entries: int, machine: Machine) -> float:

@@ -17,15 +17,18 @@ from hydroopt import Model, load_machine
 from hydroopt.kernels.native import Runner
 from studies.bench import robot_libraries
 from studies.bench.contenders import CONTROLLER, FLAGS, KEPT, SAMPLES, Contender, Regressor, motions, toolchain
-from studies.bench.jobs import HYDROOPT
+from studies.bench.goals import Row
+from studies.bench.process import HYDROOPT
 
 REPEATS = 15
 FEW, MILLION, ROOM = 1664, 1_000_000, 8e9
 """Samples of a usual log and of the batch, and the free memory [bytes] from which it takes them all."""
 KERNEL = "hydroopt's kernel"
+PLAIN, FOLDED = "CasADi, as written", "exported, geometry folded"
+HELD, FRESH, COPIED = "memory written before", "fresh memory", "NumPy's copy of these bytes"
 
 
-def excavator() -> None:
+def excavator() -> list[Row]:
     """The complete regressor of the CAT 215B in C, one thread, its own time."""
     print(toolchain())
     with tempfile.TemporaryDirectory() as folder:
@@ -34,15 +37,17 @@ def excavator() -> None:
         for flags in (FLAGS, CONTROLLER):
             groups[" ".join(flags)] = {
                 **regressor.casadi(flags), **({KERNEL: regressor.kernel()} if flags == FLAGS else {}),
-                "exported, geometry folded": regressor.exported(flags, fold_geometry=True)}
+                FOLDED: regressor.exported(flags, fold_geometry=True)}
             groups[f"{' '.join(flags[:2])}, geometry as an argument"] = {
-                "CasADi, as written": regressor.parametric(flags),
+                PLAIN: regressor.parametric(flags),
                 "exported": regressor.exported(flags, fold_geometry=False)}
-        race(regressor, groups)
-    print("targets: 40 ns for the kernel; one sample in exported C 110 ns, 1.5 times as fast as CasADi's own C")
+        walls = race(regressor, groups)
+    ours, theirs = " ".join(FLAGS), " ".join(CONTROLLER)
+    return [Row("kernel", walls[ours, KERNEL, KEPT], "CasADi's C, gcc -O3", walls[ours, PLAIN, KEPT]),
+            Row("one sample", walls[theirs, FOLDED, KEPT], "CasADi's C", walls[theirs, PLAIN, KEPT])]
 
 
-def arm() -> None:
+def arm() -> list[Row]:
     """The regressor of a six-joint arm, the UR10, in C and from Python, one thread, its own time."""
     print(toolchain())
     with tempfile.TemporaryDirectory() as folder:
@@ -54,13 +59,16 @@ def arm() -> None:
                                             regressor.expected[0][:, bodies], folder)
         with environment(OMP_NUM_THREADS="1"):
             walls = {name: 1e9 * wall / FEW for name, wall in in_turns(others, clock=time.thread_time, of=min).items()}
-            for count, repeats in ((FEW, 3 * REPEATS), (portion(regressor), 3)):
+            many = portion(regressor)
+            for count, repeats in ((FEW, 3 * REPEATS), (many, 3)):
                 walls |= from_python(regressor, count, repeats)
     base = next(wall for name, wall in walls.items() if "from Python" in name)
     print(f"{'UR10, one thread':64} {'ns/sample':>10} {'x Pinocchio from Python':>24}")
     for name, wall in walls.items():
         print(f"  {name:62} {wall:10.0f} {base / wall:24.2f}")
-    print("targets: 1.5 times as fast as CasADi's own C, 10 times as Pinocchio; from Python 200 ns, 1.3 times a copy")
+    return [Row(goal, walls[f"{KERNEL}, {count} samples, {FRESH}"], "NumPy's copy, both to fresh memory,",
+                        walls[f"{COPIED}, {count} samples, {FRESH}"])
+            for goal, count in (("python", FEW), ("python many", many))]
 
 
 def portion(regressor: Regressor) -> int:
@@ -76,10 +84,10 @@ def from_python(regressor: Regressor, count: int, repeats: int) -> dict[str, flo
     plain = np.ones(held[0].shape)
     copied = np.empty_like(plain)
     walls = in_turns({
-        f"{KERNEL}, {count} samples, memory written before": lambda: runner.over(regressor.function, *state, out=held),
-        f"{KERNEL}, {count} samples, fresh memory": lambda: runner.over(regressor.function, *state),
-        f"NumPy's copy of these bytes, {count} samples, written before": lambda: np.copyto(copied, plain),
-        f"NumPy's copy of these bytes, {count} samples, fresh memory": plain.copy}, repeats, time.thread_time, min)
+        f"{KERNEL}, {count} samples, {HELD}": lambda: runner.over(regressor.function, *state, out=held),
+        f"{KERNEL}, {count} samples, {FRESH}": lambda: runner.over(regressor.function, *state),
+        f"{COPIED}, {count} samples, {HELD}": lambda: np.copyto(copied, plain),
+        f"{COPIED}, {count} samples, {FRESH}": plain.copy}, repeats, time.thread_time, min)
     return {name: 1e9 * wall / count for name, wall in walls.items()}
 
 
@@ -99,7 +107,7 @@ def batch() -> None:
                 runner.over(regressor.function, *state, out=out)
 
         for threads in sorted({1, len(os.sched_getaffinity(0))}):
-            for memory, out in (("memory written before", held), ("fresh memory", None)):
+            for memory, out in ((HELD, held), (FRESH, None)):
                 runs[f"from Python, {threads} thread{'s' * (threads > 1)}, {memory}"] = partial(over, out, threads)
         walls = in_turns(runs)
     print(f"{f'{count} samples, {held[0].nbytes / 1e9:.1f} GB':50} {'ns/sample':>18} {'times the time in C':>21}")
@@ -152,8 +160,9 @@ def in_turns(runs: Mapping[Any, Callable[[], object]], repeats: int = REPEATS,
     return {name: of(times[1:]) for name, times in taken.items()}  # the first time warms up
 
 
-def race(regressor: Regressor, groups: Mapping[str, Mapping[str, Contender]]) -> None:
-    """Print nanoseconds per sample, and how many times as fast as the fastest of CasADi's in its group each is."""
+def race(regressor: Regressor, groups: Mapping[str, Mapping[str, Contender]]) -> dict[tuple[str, str, int], float]:
+    """Nanoseconds per sample by group, contender and results kept; print them, and how many times as fast as the
+    fastest of CasADi's in its group each is."""
     runs: dict[tuple[str, str, int], Callable[[], object]] = {}
     for group, contenders in groups.items():
         for name, contender in contenders.items():
@@ -167,6 +176,7 @@ def race(regressor: Regressor, groups: Mapping[str, Mapping[str, Contender]]) ->
         for name in contenders:
             many, one = (walls[group, name, kept] for kept in (KEPT, 1))
             print(f"  {name:48} {many:18.0f} {one:10.0f} {base / many:10.2f}")
+    return walls
 
 
 @contextmanager

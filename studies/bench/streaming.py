@@ -1,11 +1,11 @@
 """Time and peak memory of `hydroopt identify` with logs that are read in pieces, and whether both keep their slope."""
 
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,12 +14,20 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from hydroopt import Log, Model, load_machine, random_trajectory, random_truth, simulate
+from studies.bench.goals import Row
+from studies.bench.process import HYDROOPT, measured
 
-HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
 SIZES = (10_000, 100_000, 1_000_000, 10_000_000)
 """Samples of the logs."""
 PERIOD, RATE = 2000.0, 50.0
 """Of the motion [s], [Hz]."""
+READ = """
+import sys
+from pyarrow import parquet
+for piece in parquet.ParquetFile(sys.argv[1]).iter_batches():
+    [column.to_numpy(zero_copy_only=False) for column in piece.columns]
+"""
+"""Reads all columns of a Parquet file and drops them."""
 
 
 def pieces(samples: int, seed: int) -> Iterator[Log]:
@@ -48,18 +56,7 @@ def write(path: Path, samples: int, seed: int = 1) -> None:
         writer.close()
 
 
-def measured(command: list[str]) -> tuple[float, float, float]:
-    """Wall time [s], processor time [s] and peak memory [MB] of a command, which has no processes of its own."""
-    began = time.perf_counter()
-    pid = os.posix_spawn(command[0], command, os.environ)
-    _, status, usage = os.wait4(pid, 0)
-    wall = time.perf_counter() - began
-    if status:
-        raise SystemExit(f"failed: {' '.join(command)}")
-    return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
-
-
-def streaming() -> None:
+def streaming() -> list[Row]:
     """The command as a whole with logs in pieces, all of a log's 16 columns checked."""
     with tempfile.TemporaryDirectory() as folder:
         print(f"{'samples':>10} {'file MB':>8} {'wall s':>8} {'CPU s':>8} {'peak MB':>8} {'us/sample':>10} {'load':>6}")
@@ -72,14 +69,19 @@ def streaming() -> None:
             runs.append((samples, wall, cpu, peak))
             print(f"{samples:10d} {log.stat().st_size / 1e6:8.0f} {wall:8.1f} {cpu:8.1f} {peak:8.0f} "
                   f"{1e6 * cpu / samples:10.2f} {os.getloadavg()[0]:6.2f}")
+            if samples == SIZES[-1]:
+                reading = measured([sys.executable, "-c", READ, str(log)])
             log.unlink()
         (few, wall, cpu, _), (many, longer, more, peak) = runs[0], runs[-1]
+        (fewer, _, less, _) = runs[-2]
         print(f"each further sample: {1e6 * (more - cpu) / (many - few):.2f} us of processor, "
               f"{1e6 * (longer - wall) / (many - few):.2f} us of wall time; a sample of {many} costs "
               f"{more / many / (cpu / few):.2f} times one of {few}")
-        print("targets for 10,000,000 samples on an idle core: 18 s of CPU, 600 MB")
         fit = json.loads(Path(folder, "out", "estimate.json").read_text())["fit"]["train"]
         print("relative error of the fit:", *(f"{name} {one['relative']:.4f}" for name, one in fit.items()))
+    alone = "pyarrow reads it alone,"
+    return [Row("long", more, alone, reading.cpu), Row("long memory", peak, alone, reading.peak),
+            Row("long growth", math.log(more / less) / math.log(many / fewer))]
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """Valves and oil of one actuator: `identify-valves` as a process, and its solver against SciPy on the same balances."""
 
-import os
 import subprocess
 import tempfile
 import time
@@ -10,25 +9,24 @@ from scipy.optimize import least_squares
 
 from hydroopt import hydraulic_problem, load_machine, read_log
 from hydroopt.estimation.hydraulic.adjustment import adjust
-from studies.bench.jobs import HYDROOPT, as_installed
+from studies.bench.goals import Row
+from studies.bench.process import HYDROOPT, as_installed, measured
 
 SECONDS, RATE = "7", "100"
+MACHINES = ("patu655_lift", "cat215b")
+"""The last is the goal's."""
 
 
-def valves() -> None:
+def valves() -> list[Row]:
     """CPU seconds of `identify-valves`, page included, 7 s at 100 Hz; its solver and SciPy's least_squares with a
     numeric Jacobian on the same balances, weighted once."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("patu655_lift", "cat215b"):
+        for name in MACHINES:
             log = f"{folder}/{name}"
             subprocess.run([HYDROOPT, "simulate", name, "--driven", "--duration", SECONDS, "--rate", RATE, "--truth",
                             "random", "--seed", "1", "-o", log, "--quiet"], check=True)
-            for _ in range(2):  # the first one leaves bytecode and kernels
-                before = os.times()
-                subprocess.run([HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"],
-                               check=True, env=as_installed(folder))
-                after = os.times()
-                process = sum(after[2:4]) - sum(before[2:4])
+            process = min(measured([HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"],
+                                   as_installed(folder)).cpu for _ in range(3))  # the first leaves bytecode and kernels
             problem = hydraulic_problem(load_machine(name), [read_log(f"{log}/log.csv")])
             stretches, known = problem.balanced, problem.parameters
             began = time.process_time()
@@ -53,5 +51,6 @@ def valves() -> None:
                 (known.lower - known.nominal) / known.scale, (known.upper - known.nominal) / known.scale))
             scipy = time.process_time() - began
             apart = np.max(np.abs(theirs.x - (ours.theta - known.nominal) / known.scale))
-            print(f"  {name}: process {process:.2f} s (goal 4), solver {own:.2f} s, SciPy {scipy:.2f} s, ratio "
+            print(f"  {name}: process {process:.2f} s, solver {own:.2f} s, SciPy {scipy:.2f} s, ratio "
                   f"{scipy / own:.1f}; apart by at most {apart:.1f} prior σ, since SciPy corrects no reading")
+    return [Row("valves", process, "SciPy's least_squares, solver alone,", scipy)]

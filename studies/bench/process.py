@@ -1,0 +1,43 @@
+"""A command as a process of its own: its time and memory."""
+
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
+LIBRARIES = ("numpy", "casadi", "clarabel", "pydantic", "jinja2", "typer", "pyarrow.parquet")
+"""What an identification cannot do without."""
+
+
+class Cost(NamedTuple):
+    """Wall time [s], CPU time [s] and peak memory [MB] of a process and those that it waited for."""
+
+    wall: float
+    cpu: float
+    peak: float
+
+
+def measured(command: Sequence[str], environment: Mapping[str, str] | None = None) -> Cost:
+    """One run of a command, its start and its import of everything included; what it prints is dropped."""
+    silence = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
+    began = time.perf_counter()
+    pid = os.posix_spawn(command[0], command, os.environ if environment is None else environment, file_actions=silence)
+    _, status, usage = os.wait4(pid, 0)
+    wall = time.perf_counter() - began
+    if status:
+        raise SystemExit(f"failed: {' '.join(command)}")
+    return Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+
+
+def libraries() -> float:
+    """CPU time [s] of a process that loads `LIBRARIES` and nothing else, the least of three."""
+    return min(measured([sys.executable, "-c", "import " + ", ".join(LIBRARIES)]).cpu for _ in range(3))
+
+
+def as_installed(folder: str) -> dict[str, str]:
+    """The environment of a process that keeps Python's bytecode in a folder, as an installed package keeps its own."""
+    return {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"} | {
+        "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
