@@ -114,7 +114,8 @@ class ScaleTables:
         """Numbers of the rules."""
         return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST,
                 "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
-                "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
+                "SMALLEST": recursion.SMALLEST, "ALIKE": recursion.ALIKE, "THRESHOLD": course.THRESHOLD,
+                "GOES_ON": course.GOES_ON,
                 "NOTICED": course.NOTICED, "EMPTY": course.EMPTY, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
                 "RESTING": course.RESTING, "FORGOTTEN": course.FORGOTTEN, "FEWEST": course.FEWEST,
                 "CONTRADICTED": course.CONTRADICTED,
@@ -127,6 +128,7 @@ class ScaleTables:
         return {"joint_of": np.array(self.scale.model.dynamics.kept, dtype=np.int64),
                 "weighs": np.isfinite(self.scale.force_std).astype(np.int64),
                 "weights": self.kernel.weights, "node_share": np.array(shares),
+                "of_a_jump": self.kernel.of_a_jump(self.recent),
                 "kernel_covariance": self.kernel.covariance.reshape(self.lags + 1, 16),
                 "at_node": np.stack([self.kernel.at_node(tau) for tau in taus])}
 

@@ -28,8 +28,8 @@ CONTRADICTED = 3.0
 """Misfit from which readings contradict the model."""
 NEGATIVE = 4.0
 """Number of standard deviations below zero from which a mass is impossible."""
-LASTS = 8
-"""Number of samples that a change may last."""
+LASTS = 11
+"""Number of samples that a change may last: a pick-up of 2 s, as far as it shows, and the smoothing."""
 GOES_ON = 10.0
 """Likelihood ratio from which a change goes on, or may have begun, so that no mass is shown."""
 NOTICED = 0.02

@@ -3,8 +3,10 @@
 Kept is the triangle of least squares for the scale's own unknowns and the ten numbers of the load (Bierman 1977),
 after whitening by the banded Cholesky factor of errors that are correlated over a few samples. Changes of the mass
 since each of the last samples are further right-hand sides: what the triangle cannot explain of them and of the
-forces gives the likelihood ratio of each change. The load stands last, so that its own block of the triangle gives
-its estimate, whatever the others are. The generated C runs the same steps.
+forces gives the likelihood ratio of each change. A change is a jump that has passed the smoothing: whitening amplifies
+whatever is sharper than smoothed errors are, so that a jump between two samples would be judged by its edge alone. The
+load stands last, so that its own block of the triangle gives its estimate, whatever the others are. The generated C
+runs the same steps.
 """
 
 from __future__ import annotations
@@ -31,6 +33,8 @@ AGAIN = 3
 """How often the load is solved for, with priors for the mass that was found before."""
 TINY = 1e-6
 """Standard deviation of the load's numbers where the machine is known to be empty."""
+ALIKE = 1e-3
+"""Part by which an earlier change must be likelier than a later one: where nothing moved between, they are alike."""
 SHOWN = 3.0
 """Standard deviations by which a change of mass shows."""
 
@@ -139,6 +143,7 @@ class Recursion:
         self._table: Array = np.zeros((c + 10, c + 10 + 1 + RECENT))
         self._table[:c, :c], self._table[:c, c + 10] = known.root, known.right
         self._products = np.zeros((1 + RECENT, 2))
+        self._jump = kernel.of_a_jump(RECENT)
         # mean squares of the residuals after each of the last samples: those of before a change widen its errors
         self._before = np.zeros(RECENT + 1)
         # of the last samples: whitened rows, their errors' derivatives, and the factor of their covariance
@@ -161,7 +166,8 @@ class Recursion:
         for columns in (self._table, self._white):
             columns[:, c + 12 :], columns[:, c + 11] = columns[:, c + 11 : -1].copy(), 0.0
         self._products[2:], self._products[1] = self._products[1:-1].copy(), 0.0
-        rows[:, c + 11 : c + 11 + min(self._since, RECENT)] = J[:, [c]]
+        since = min(self._since, RECENT)
+        rows[:, c + 11 : c + 11 + since] = J[:, [c]] * self._jump[:since]
         self._since += int(used.any() or self._since > 0)
         if empty:
             rows[:, c + 10] -= J[:, c:] @ self.phi
@@ -226,7 +232,9 @@ class Recursion:
         self.own = np.asarray(np.linalg.solve(root[:c, :c], right[:c] - root[:c, c:] @ self.phi))
         (rest, _), *changes = products
         ratios = [along**2 / size if size > 0 else 0.0 for size, along in changes]
-        ago = int(np.argmax(ratios))
+        ago = 0
+        for k, ratio in enumerate(ratios):
+            ago = k if ratio > (1 + ALIKE) * ratios[ago] else ago
         size, along = changes[ago]
         change = Change(float(ratios[ago]) / max(1.0, self._before[-1]), ago,
                         float(along / size) if size > 0 else 0.0)

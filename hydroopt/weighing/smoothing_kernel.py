@@ -104,6 +104,11 @@ class SmoothingKernel:
         near = values[middles[:, None] + np.arange(-self.half, self.half + 1)]
         return np.asarray(np.einsum("dk,mk...->dm...", self.weights, near))
 
+    def of_a_jump(self, count: int) -> Array:
+        """(count,): which part of a jump the smoothed samples show, from the first one that shows more than a tenth."""
+        reached = np.minimum(self.stride * np.arange(2, count + 2), self.weights.shape[1])
+        return np.asarray(np.cumsum(self.weights[0])[reached - 1])
+
     @cached_property
     def covariance(self) -> Array:
         """(L, 4, 4): covariance of a smoothed sample's value and first three derivatives with those of the l-th one

@@ -361,7 +361,7 @@ static real take(const {{ p }}_scale_params_t *params, {{ p }}_scale_t *scale, e
         real left;
         any = (given->used[a] != 0U) ? 1 : any;
         for (size_t k = 0U; (k < scale->since) && (k < (size_t)RECENT); k++) {
-            row[(size_t)UNKNOWNS + 1U + k] = row[OWN];
+            row[(size_t)UNKNOWNS + 1U + k] = of_a_jump[k] * row[OWN];
         }
         scale->used[at] = given->used[a];
         for (size_t j = 0U; j < (size_t)WINDOW; j++) {
@@ -513,7 +513,7 @@ static void weigh(const {{ p }}_scale_params_t *params, {{ p }}_scale_t *scale)
     for (size_t k = 1U; k < (size_t)LEFT; k++) {
         const int some = (products[k][0] > {{ 0 | number }}) ? 1 : 0;
         const real ratio = (some != 0) ? (square(products[k][1]) / products[k][0]) : {{ 0 | number }};
-        if (ratio > scale->change_ratio) {
+        if (ratio > (({{ 1 | number }} + ALIKE) * scale->change_ratio)) {
             scale->change_ratio = ratio;
             scale->change_ago = (uint32_t)(k - 1U);
             scale->change_size = (some != 0) ? (products[k][1] / products[k][0]) : {{ 0 | number }};
