@@ -12,6 +12,7 @@ from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.errors import ProblemError
 from hydroopt.logs.log import Log
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import top_speed
 from hydroopt.results.tables import csv_text
 from hydroopt.simulation.drive_valves import drive
 from hydroopt.spatial.inertia import Array
@@ -198,6 +199,7 @@ class StepDriver:
         self.span = np.array([each.valve.span for each in plant.actuators])
         self._ends = np.cumsum([step.seconds for step in test.steps])
         self._joints = {tuple(self.names[k] for k in places): joint for joint, places in plant.drivers.items()}
+        self._fastest = {joint: top_speed(plant, joint) for joint in plant.drivers}
         self._window = max(1, round(WINDOW / period))
         self._opening, self._way, self._step = np.zeros(len(self.names)), 1.0, 0
         self._before: list[Array] = []
@@ -206,20 +208,32 @@ class StepDriver:
         """Commands (a,) at sample k, in the unit of each valve, from the joints' positions (n,)."""
         test = self.test
         now = min(int(np.searchsorted(self._ends, k * self.period, side="right")), len(test.steps) - 1)
-        if now != self._step:
-            self._step, self._way = now, -self._way
         step = test.steps[now]
         name = self._joints[step.actuators]
         active, joint = list(test.plant.drivers[name]), test.plant.machine.joints.index(name)
         self._before = [*self._before[-self._window:], q]
         speed = (q[joint] - self._before[0][joint]) / (self.period * max(1, len(self._before) - 1))
-        brakes = test.braking(q, joint, np.sign(speed))
-        reach = q[joint] + speed * np.max(test.stopping[active]) + (speed * abs(speed) / (2 * brakes) if brakes else
-                                                                     np.copysign(np.inf, speed))
         # a cylinder that extends may lower its joint
         opened, levers = test.opened(q, name), test.plant.transmission(q).full()[active, joint]
         side = np.sign(opened @ levers)
-        if reach > test.upper[joint] if self._way * side > 0 else reach < test.lower[joint]:
+
+        def beyond(way: float, speed: float) -> float:
+            """How far the joint would pass its limit on one way, turned back now at a speed."""
+            end = q.copy()
+            end[joint] = (test.upper if speed > 0 else test.lower)[joint]
+            brakes = min(test.braking(at, joint, np.sign(speed)) for at in (q, end))
+            reach = q[joint] + speed * np.max(test.stopping[active]) + (
+                speed * abs(speed) / (2 * brakes) if brakes else np.copysign(np.inf, speed))
+            return float(reach - test.upper[joint] if way * side > 0 else test.lower[joint] - reach)
+
+        if now != self._step:
+            self._step, self._way = now, -self._way
+            # before its speed shows, a joint may be too near a limit to be turned back
+            most = side * step.opening * self._fastest[name]
+            there, back = (beyond(way, way * most) for way in (self._way, -self._way))
+            if there > max(0.0, back):
+                self._way = -self._way
+        if beyond(self._way, speed) > 0:
             self._way = -self._way
         wanted = np.zeros(len(self.names))
         wanted[active] = self._way * step.opening * opened
