@@ -19,9 +19,7 @@ from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.model.model import Model, model_of
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
-from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
@@ -126,11 +124,6 @@ class MotionCheck(Answer):
              "log": each.log, "x": each.place[0], "y": each.place[1], "z": each.place[2]})
             for each in self.table if each.broken or each.short)
 
-    @property
-    def parameters(self) -> ParameterTable:
-        """Empty: a check of limits identifies nothing."""
-        return ParameterTable([])
-
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """Whether each motion can be driven."""
@@ -153,11 +146,6 @@ class MotionCheck(Answer):
         return ()
 
     @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: nothing is fitted."""
-        return {}
-
-    @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The motions' files."""
         return self.sources
@@ -169,10 +157,6 @@ class MotionCheck(Answer):
              "lowest": each.use.lowest, "highest": each.use.highest, "upper": number(each.use.upper),
              "room": each.use.room, "beyond": each.beyond, "t": each.at, "tip": list(each.place)}
             for each in self.table]}
-
-    def files(self) -> Mapping[str, str]:
-        """None beside the JSON file."""
-        return {}
 
     def __str__(self) -> str:
         lines = [f"  {'limit':<34} {'room':>12} {'at':>9}  tip [m]"]

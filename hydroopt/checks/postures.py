@@ -19,9 +19,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
-from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
@@ -90,11 +88,6 @@ class PostureCheck(Answer):
         several = len({each.table for each in self.poses}) > 1
         return ", ".join(f"{each.table} {each.pose}" if several else each.pose for each in poses)
 
-    @property
-    def parameters(self) -> ParameterTable:
-        """Empty: a check of limits identifies nothing."""
-        return ParameterTable([])
-
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """Whether all poses of each table can be driven to."""
@@ -120,11 +113,6 @@ class PostureCheck(Answer):
         return ()
 
     @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: nothing is fitted."""
-        return {}
-
-    @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The tables' files."""
         return self.sources
@@ -133,10 +121,6 @@ class PostureCheck(Answer):
         """Every pose."""
         return {"reserves": self.reserves._asdict(), "poses": [
             {**each._asdict(), "broken": list(each.broken), "short": list(each.short)} for each in self.poses]}
-
-    def files(self) -> Mapping[str, str]:
-        """None beside the JSON file."""
-        return {}
 
 
 def check_postures(machine: GivenMachine, tables: Poses | Sequence[Poses], *,

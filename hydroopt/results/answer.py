@@ -132,14 +132,16 @@ class Answer(Drawn, ABC):
         return ()
 
     @property
-    @abstractmethod
     def parameters(self) -> ParameterTable:
-        """The parameters by name, with priors, values, intervals and identifiability."""
+        """The parameters by name, with priors, values, intervals and identifiability; none where nothing is identified.
+        """
+        return ParameterTable([])
 
     @property
-    @abstractmethod
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """How closely data are followed, by data set (``train``, ``validation``) and channel; empty for a design."""
+        """How closely data are followed, by data set (``train``, ``validation``) and channel; empty where nothing is
+        fitted."""
+        return {}
 
     @property
     def fit_by_model(self) -> Mapping[str, Mapping[str, Mapping[str, Fit]]]:
@@ -155,9 +157,9 @@ class Answer(Drawn, ABC):
     def details(self) -> Mapping[str, Any]:
         """What the JSON file says beyond what all answers say; numbers that do not exist are None."""
 
-    @abstractmethod
     def files(self) -> Mapping[str, str | bytes]:
         """Files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
+        return {}
 
     def __getitem__(self, name: str) -> ParameterRow:
         """A parameter: value, standard deviation, interval, unit and identifiability, in SI.

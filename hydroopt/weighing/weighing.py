@@ -17,7 +17,6 @@ from hydroopt.logs.log import Log
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable, row
 from hydroopt.results.readable import readable
@@ -260,11 +259,6 @@ class Weighing(Answer):
             rows += [_row(f"{each.name}.com_{axis}", ParameterKind.POSITION, "m", value, std, known)
                      for axis, value, std in zip("xyz", centre.tolist(), spread.tolist(), strict=True)]
         return ParameterTable(rows)
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: the misfit stands beside each reading."""
-        return {}
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -24,7 +24,6 @@ from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
@@ -183,11 +182,6 @@ class LogCheck(Answer):
         return tuple(JointCoverage(joint, float(np.ptp(q[:, k]) / ranges[k]), float(np.sqrt(np.mean(qd[:, k] ** 2))),
                                    float(np.sqrt(np.mean(qdd[:, k] ** 2))))
                      for k, joint in enumerate(machine.joints))
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: nothing is identified yet."""
-        return {}
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

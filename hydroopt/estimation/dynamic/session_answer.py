@@ -14,7 +14,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterRow, row
 from hydroopt.results.tables import number
@@ -82,11 +81,6 @@ class SessionAnswer(Answer):
     def machine_id(self) -> MachineId:
         """Which machine it is about."""
         return MachineId.of(self.machine)
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: sessions are compared, not predicted."""
-        return {}
 
     @property
     def headline(self) -> str:

@@ -26,7 +26,6 @@ from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
@@ -158,11 +157,6 @@ class Excitation(Answer):
                 NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
                 NextStep(Action.USE, "Then, with its log as log.csv:",
                          f"hydroopt identify {self.problem.machine.source} log.csv --holdout 0.3 -o identified"))
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """None: a design has no data."""
-        return {}
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

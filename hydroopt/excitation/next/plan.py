@@ -21,7 +21,6 @@ from hydroopt.input_file import read_text
 from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import FILES, Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
@@ -76,11 +75,6 @@ class WhatNext(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """None."""
         return ()
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: nothing is measured yet."""
-        return {}
 
     @cached_property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

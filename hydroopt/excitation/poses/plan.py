@@ -17,7 +17,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
@@ -123,11 +122,6 @@ class PosePlan(Answer):
         return (NextStep(Action.MEASURE, "Measure the poses of sheet.txt and fill their readings in poses.csv."),
                 NextStep(Action.USE, "Then:", f"hydroopt calibrate {self.machine.source} "
                                               f"{self.command_line.path('poses.csv')} -o calibration"))
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: nothing is measured yet."""
-        return {}
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
