@@ -41,7 +41,8 @@ def main(names: list[str]) -> None:
                 raise SystemExit(f"{name} must measure {', '.join(sorted(goals.of_part(name)))}")
             rows += found
             print(f"\nload {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores\n", flush=True)
-    print(goals.table(rows))
+    if rows:
+        print(goals.table(rows))
 
 
 if __name__ == "__main__":
