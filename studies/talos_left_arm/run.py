@@ -111,8 +111,9 @@ def run() -> dict | None:
         results |= {f"rms_{name}": rms(judged(problem, solved.theta)[0]), f"leave_one_out_{name}": rms(one),
                     f"leave_sheet_out_{name}": rms(whole), f"errors_over_stated_{name}": round(solved.noise_scale, 2),
                     f"coverage_{name}": round(covered, 3), f"coverage_sheet_{name}": round(covered_sheet, 3),
-                    f"suspects_{name}": [f"{s.kind}: postures {poses.row[s.poses][0]} to {poses.row[s.poses][-1]}"
-                                         for s in solved.suspects],
+                    f"suspects_{name}": [
+                        f"{f'{s.kind} {s.name}'.strip()}: postures {poses.row[s.poses][0]} to {poses.row[s.poses][-1]}"
+                        for s in solved.suspects],
                     f"strongest_correlation_{name}": strongest(solved)}
         if name == "offsets":
             seen = observability(nine, judged(nine, solved.theta)[1])

@@ -362,7 +362,7 @@ def _typical(square: Array, freedom: Array) -> float:
 
     Neighbouring poses whose residuals have little freedom each count together.
     """
-    block = np.floor(np.concatenate([[0.0], np.cumsum(freedom)[:-1]]) / BLOCK + 1e-9).astype(int)
+    block = np.floor((np.cumsum(freedom) - freedom) / BLOCK + 1e-9).astype(int)
     block = np.unique(block, return_inverse=True)[1]
     free, squares = np.bincount(block, freedom), np.bincount(block, square)
     if free.max(initial=0.0) < BLOCK:

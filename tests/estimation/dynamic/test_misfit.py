@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hydroopt.control.valve_test import driven_test, valve_test
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.misfit import blocks
@@ -127,6 +128,16 @@ def test_spikes_and_pulsation_of_exact_forces_are_found(crane: Model) -> None:
         wrong = replace(log, channels={**log.channels, "lift_cylinder.p_head": head + added})
         found = identify(identification_problem(model, [wrong]), intervals=False).diagnostics
         assert {each.kind for each in found} & {Kind.SPIKES, Kind.LINE} == ({kind} if kind else set())
+
+
+def test_steps_of_valves_are_no_spikes() -> None:
+    """Most of a valve test is steps: to interpolate what stands out there would take the motion away."""
+    plant = Plant(load_machine("cat215b"))
+    model, nominal = plant.model, plant.model.parameters.nominal
+    log = driven_test(valve_test(plant), nominal, plant.parameters.nominal, rate=50.0, seed=0)
+    estimate = identify(identification_problem(model, [log]), intervals=False)
+    assert max(estimate.misfit.spikes.values()) > 0.1
+    assert Kind.SPIKES not in {each.kind for each in estimate.diagnostics}
 
 
 def late(log: Log, samples: int) -> Log:

@@ -14,8 +14,10 @@ from hydroopt.results.wording import Kind
 LARGE = 2.0
 """Residuals as a multiple of what noise and errors of the motion add, from which on those that are faster than
 smoothing passes are worth a diagnostic, though the slow ones may be by chance."""
-SPIKES = 0.003
-"""Share of spikes among a reading's samples that is worth a diagnostic."""
+SPIKES, STEPS = 0.003, 0.1
+"""Share of spikes among a reading's samples that is worth a diagnostic, and that of any reading from which on they are
+none: residuals are large for whole stretches then, as after steps of valves, and to interpolate would take the motion
+away."""
 
 
 def diagnose(found: Misfit) -> Iterator[Diagnostic]:
@@ -33,7 +35,8 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
     if not found.causes:
         yield from _unexplained(found)
     spiked = {name: share for name, share in found.spikes.items() if share > SPIKES}
-    if spiked and not found.causes:  # a cause moves the steps of friction, which then look like spikes
+    # a cause moves the steps of friction, which then look like spikes
+    if not found.causes and 0 < max(spiked.values(), default=0.0) < STEPS:
         yield Diagnostic(Kind.SPIKES, tuple(spiked), {"share": max(spiked.values())})
     for name, line in found.lines.items():
         yield Diagnostic(Kind.LINE, (name,), {"hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit})
