@@ -27,7 +27,7 @@ class Part(NamedTuple):
 
     `start` and `end` (3,) [m] are expressions of q; `radius` [m] is that of a barrel, zero where none is known. `link`
     is the link that it belongs to, empty for a strut; `carriers` are the links that carry its ends. A line is `rooted`
-    if it starts at the joint of its link, which is held there.
+    if it starts where its link is held.
     """
 
     name: str
@@ -55,18 +55,18 @@ def parts(model: Model) -> tuple[Part, ...]:
     def at(link: str, place: Sequence[float]) -> ca.SX:
         return ca.SX(ca.DM(place)) if link == BASE else poses[link].point(ca.DM(place))
 
-    def line(body: SceneBody, ends: Array, carriers: frozenset[str]) -> Part:
-        start, end = ends
-        return Part(body.name, at(body.name, start.tolist()), at(body.name, end.tolist()), 0.0, body.name, carriers,
-                    not np.any(start))
+    def line(body: SceneBody, ends: Array, carriers: frozenset[str], *, rooted: bool) -> Part:
+        start, end = (at(body.name, each.tolist()) for each in ends)
+        return Part(body.name, start, end, 0.0, body.name, carriers, rooted)
 
     links = []
     for body in graph.bodies:
         if machine.link(body.name).body is not None or np.any(body.lines):
-            links += [line(body, ends, frozenset({body.parent})) for ends in body.lines]
-        if body.section is not None:  # it moves in the telescope's first section, and is held where this is
+            links += [line(body, ends, frozenset({body.parent}), rooted=not np.any(ends[0])) for ends in body.lines]
+        if body.section is not None:  # its inner end moves in the telescope's first section, and is held where this is
             first = _section(machine, body.name)
-            links.append(line(body, body.section, frozenset({body.parent, first, machine.link(first).parent})))
+            links.append(line(body, body.section[::-1], frozenset({body.parent, first, machine.link(first).parent}),
+                              rooted=True))
     struts = [Part(strut.name, at(*strut.start), at(*strut.end),
                    strut.diameter / 2 if strut.kind == "cylinder" else 0.0, "",
                    frozenset({strut.start[0], strut.end[0]})) for strut in graph.struts]

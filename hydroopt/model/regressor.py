@@ -268,8 +268,8 @@ class Dynamics:
         wide = len(moving) >= rows
         columns = J.T if wide else J
         Q, R = ca.qr(columns)  # equations for the least squares would square their condition
-        least = 1.0
-        for k in range(R.size1()):
+        least = ca.sign(R[0, 0])
+        for k in range(1, R.size1()):
             least = least * R[k, k] ** 2 / ca.sumsqr(columns[:, k])
         found = ca.solve(R, Q.T @ torque[moving]) if wide else Q @ ca.solve(R.T, torque[moving])
         # where a column depends on those before it, those after it are no numbers

@@ -81,6 +81,19 @@ def test_a_telescopes_section_is_a_part_inside_the_stick() -> None:
         assert shown(limits, f"distance of first to ball{ball}", q) == pytest.approx(apart - 0.2, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", ["forestry_crane", "knuckle_boom_crane"])
+def test_the_outer_ends_of_telescopes_stay_above_ground(name: str) -> None:
+    """By forward kinematics, whichever end of a section is the lower one."""
+    limits = beside(name, [], 'ground = "-20 m"')
+    model, machine = limits.model, limits.model.machine
+    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    q = np.random.default_rng(1).uniform(low, high)
+    for link, pose in zip(machine.links, model.over(model.forward_kinematics, q[None]), strict=True):
+        if link.joint.type == "prismatic":
+            height = pose[0, 2, 3]
+            assert np.min(np.abs(shown(limits, f"{link.name} above ground", q.tolist()) - height)) < 1e-9
+
+
 @pytest.fixture(scope="module")
 def pins() -> np.ndarray:
     """Those of the platform: pairs on a circle of 1.6 m, 0.2 m apart, two of them 120 degrees from the first."""
