@@ -27,6 +27,9 @@ from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
 
+STEEPEST = math.radians(45)
+"""Slope from which on the base's z axis does not say what is high."""
+
 
 class Machine(Drawn, MachineDescription):
     """A manipulator: a tree of links on the base, their actuators, and the sensors.
@@ -310,6 +313,12 @@ class Machine(Drawn, MachineDescription):
         if self.footprint and self.ground is None:
             raise ImpossibleError("the machine has a footprint, but its height is not stated",
                                   "state 'ground', the height of the ground in the base frame")
+        roll, pitch, _ = self.orientation
+        tilt = math.acos(math.cos(roll) * math.cos(pitch))
+        if self.ground is not None and tilt > STEEPEST:
+            raise ImpossibleError(
+                f"the ground is a height along the base's z axis, which points {math.degrees(tilt):.0f} deg away from "
+                "upwards", "describe the machine in a base frame whose z axis points up, or leave out 'ground'", "ground")
 
     def _masses(self) -> None:
         bodies = {link.name for link in self.links if link.body} | {

@@ -10,6 +10,7 @@ import pytest
 
 from fixtures.tiers import tiered
 from hydroopt import Model, load_machine, read_machine
+from hydroopt.errors import MachineError
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.parts import Part, distance, distance_to_point, pairs, parts
 from hydroopt.machine.machine_file import bundled
@@ -134,3 +135,9 @@ def test_parts_are_what_the_picture_shows(name: str) -> None:
         ends = np.vstack([body.lines.reshape(-1, 3), *([] if body.section is None else [body.section])])
         assert all(np.min(np.linalg.norm(drawn[body.name] - end, axis=1)) < 1e-6 for end in ends)
     assert {each.link for each in parts(model) if each.link} <= set(drawn)
+
+
+def test_a_ground_beside_the_vertical_is_refused() -> None:
+    """The Tampere manipulator's base has its y axis up: no height along z would ever be below such a ground."""
+    with pytest.raises(MachineError, match=r"ground: .* z axis, which points 90 deg away from upwards; describe"):
+        beside("tampere_manipulator", [], 'ground = "-1 m"')
