@@ -317,8 +317,9 @@ class Machine(Drawn, MachineDescription):
         tilt = math.acos(math.cos(roll) * math.cos(pitch))
         if self.ground is not None and tilt > STEEPEST:
             raise ImpossibleError(
-                f"the ground is a height along the base's z axis, which points {math.degrees(tilt):.0f} deg away from "
-                "upwards", "describe the machine in a base frame whose z axis points up, or leave out 'ground'", "ground")
+                "the ground is a height along the base's z axis, which points "
+                f"{math.degrees(tilt):.0f} deg away from upwards",
+                "describe the machine in a base frame whose z axis points up, or leave out 'ground'", "ground")
 
     def _masses(self) -> None:
         bodies = {link.name for link in self.links if link.body} | {
