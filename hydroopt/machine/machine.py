@@ -18,6 +18,7 @@ from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Actuator, Drive, Motor
 from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
+from hydroopt.machine.environment import refuse_sideways
 from hydroopt.machine.imus import INCLINATION
 from hydroopt.machine.links import Joint, Note
 from hydroopt.machine.quantity import ImpossibleError, with_likely_units
@@ -26,9 +27,6 @@ from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
-
-STEEPEST = math.radians(45)
-"""Slope from which on the base's z axis does not say what is high."""
 
 
 class Machine(Drawn, MachineDescription):
@@ -313,13 +311,8 @@ class Machine(Drawn, MachineDescription):
         if self.footprint and self.ground is None:
             raise ImpossibleError("the machine has a footprint, but its height is not stated",
                                   "state 'ground', the height of the ground in the base frame")
-        roll, pitch, _ = self.orientation
-        tilt = math.acos(math.cos(roll) * math.cos(pitch))
-        if self.ground is not None and tilt > STEEPEST:
-            raise ImpossibleError(
-                "the ground is a height along the base's z axis, which points "
-                f"{math.degrees(tilt):.0f} deg away from upwards",
-                "describe the machine in a base frame whose z axis points up, or leave out 'ground'", "ground")
+        if self.ground is not None:
+            refuse_sideways(self.orientation)
 
     def _masses(self) -> None:
         bodies = {link.name for link in self.links if link.body} | {
