@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from hydroopt.excitation.next.problem import WhatNextProblem, what_next_problem
 from hydroopt.excitation.next.sequence import State
 from hydroopt.excitation.poses.posture_readings import PostureReadings
 from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
+from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
@@ -138,11 +139,15 @@ def least(problem: WhatNextProblem, minutes: float = BUDGET - 15.0, steps: int =
 def expected(problem: WhatNextProblem, work: Sequence[Work]) -> dict[str, float]:
     """Standard deviations of the goals after some work, by the covariance that what-next computes."""
     state = State(problem.knowledge, {})
-    named = {each.name: each for each in problem.measurements}
+    named, added = {each.name: each for each in problem.measurements}, {each.name for each in problem.additions}
     for each in work:
         if each.motions:
             for k in each.motions:
                 state = state.after(named["motion"], k)
+        elif each.owner in added:  # which the machine file does not state, in postures that are candidates
+            for q in each.q:
+                state = state.after(named[each.owner],
+                                    int(np.argmin(np.linalg.norm(named[each.owner].q - q, axis=1))))
         else:
             state = State(state.knowledge.with_rows(rows_at(problem, each), slice(0, problem.knowledge.geometry),
                                                     geometry_exact=False), state.taken)
@@ -247,15 +252,17 @@ def forces_error(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machi
 def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, draws: int | None = None,
              without: Sequence[str] = ()) -> dict:
     """All figures of a machine."""
-    result, machine, far = {}, make(), make(2.0)
+    # swings ask neither for ground nor for strength, and neither do the plans that are compared with them
+    result, (machine, far) = {}, (make(factor).model_copy(update={"ground": None}) for factor in (1.0, 2.0))
     for name in goals:
         count = draws or DRAWS[f"{label}_{name}"]
         targets = {name: {"tip": 1e-6, "force": 1e-6}.get(name, 1e-3)}
-        problem = what_next_problem(machine, targets=targets, without=without)
+        state = partial(what_next_problem, machine, targets=targets, without=without, reserves=Reserves.none())
+        problem = state()
         costs = {f"{each.name}{tail}": 2.0**sign * value for sign, each in zip(
             np.random.default_rng(7).choice([-1, 1], len(problem.measurements)), problem.measurements, strict=True)
             for tail, value in (("", each.minutes), (".set_up", each.set_up))}
-        wrong = what_next_problem(machine, targets=targets, minutes=costs, without=without)
+        wrong = state(minutes=costs)
         fixed, plan, misled = fixed_plan(problem), chosen(problem), chosen(wrong, problem)
         before, after = expected(problem, [])[name], expected(problem, plan)[name]
         by_fixed, by_plan, by_misled, by_none = (drawn(problem, each, machine, count)[name] for each in (
