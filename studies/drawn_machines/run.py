@@ -50,8 +50,8 @@ BIAS = np.radians(0.1)
 """Greatest bias of each angle."""
 GEOMETRY = (".joint.a", ".joint.d", ".joint.alpha", ".joint.beta", ".dead_length", ".pin")
 """Ends of the names of what poses calibrate."""
-SINCE = 1.1
-"""By which flows have grown since the valve test."""
+SINCE, LESS = 1.1, 0.9
+"""By which flows have grown, or become less, since the valve test."""
 REPETITIONS, LEARNING, SMOOTH, LEAD = 4, 2.0, 0.1, 0.1
 """Of iterative learning: repetitions of the motion, speed per error [1/s], half the width [s] of its low pass, and time
 [s] from a command to the error that it corrects."""
@@ -122,6 +122,7 @@ def figures(seed: int) -> dict[str, float]:
     found |= {"true": tracked(case, case.psi, case.theta), "learning": learned(case),
               "flows_since": tracked(case, *one, flows=SINCE),
               "flows_since_refit": tracked(case, *one, flows=SINCE, refit=True),
+              "flows_less_refit": tracked(case, *one, flows=LESS, refit=True),
               "refit": tracked(case, *one, refit=True)}
     for name, make in KINDS.items():
         other = make(seed)

@@ -97,7 +97,8 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
                     break  # what else the model lacks would only be imitated by further faults
             explained += leading.drop
             misfit.explain(leading)
-    square, variance = misfit.square, misfit.variance
+    square = misfit.square
+    variance = misfit.variance_of(square)
     # also beside what was found later
     wild &= (misfit.chance(square, variance * WILDER) < FALSE_ALARM / len(q)) & (square > LINEAR * explained)
     return (*_one_plane(problem, q), *found, *_outliers(problem, square / variance, misfit.rank, wild))
@@ -186,7 +187,7 @@ class _Misfit:
         return max((STATED + (self.spare - STATED) * typical) / self.spare, EXACT)
 
     def chance(self, square: Array, variance: float | Array) -> Array:
-        """(N,) chance of squared errors (N,) as large as these, if theirs is a variance that is estimated."""
+        """(N,) chance that the poses' squared errors are as large as these (N,), by a variance that is estimated."""
         return np.asarray(special.fdtrc(self.rank, self.spare, square / self.rank / variance))
 
     @property
@@ -221,12 +222,14 @@ class _Misfit:
         freedom = int(np.sum(np.diag(information) > fault.information))
         return _Explanation(fault, amount, float(toward @ amount), across @ amount, max(freedom, 1), visible)
 
-    @property
-    def variance_without(self) -> Array:
-        """(N,) variance of the errors, in units of the stated one, if one pose is left out, by the mean of all rows."""
+    def variance_without(self, gain: Array) -> Array:
+        """(N,) variance of the errors if one pose is left out, which lowers their squares by its `pose_gain` (N,).
+
+        It is that of the mean of all rows: it follows a wild pose, but not the one that is left out.
+        """
         blank = np.sum(self.shape[1] - self.rank[self.kept])
         left = np.maximum(np.count_nonzero(self.rows) - blank - self.basis.shape[1] - self.rank, 0)
-        square = np.maximum(float(self.residual @ self.residual) - self.pose_gain, 0.0)
+        square = np.maximum(float(self.residual @ self.residual) - gain, 0.0)
         return np.asarray((STATED + square) / (STATED + left))
 
     def variance_after(self, found: _Explanation) -> float:
@@ -280,22 +283,22 @@ def _leading(misfit: _Misfit, tested: list[_Explanation], tried: int) -> tuple[_
 def _wild(misfit: _Misfit, variance: float, least: float) -> tuple[NDArray[np.bool_], float]:
     """Poses that contradict all others one by one, by at least so much, and the criterion of leaving them out."""
     count, gain = len(misfit.rank), misfit.pose_gain
-    chance = _chance_of_poses(misfit, variance)
+    chance = _chance_of_poses(misfit, gain, variance)
     wild = (chance < FALSE_ALARM / count) & (gain > least)
     if wild.sum() > MANY * misfit.kept.sum():  # among few poses, others that follow one that is far off look wild, too
         wild = np.arange(count) == np.argmin(chance)
         others = copy(misfit)
         others.set_aside(wild)
-        if np.any(_chance_of_poses(others, others.variance) < FALSE_ALARM / count):
+        if np.any(_chance_of_poses(others, others.pose_gain, others.variance) < FALSE_ALARM / count):
             return np.zeros(count, dtype=bool), -np.inf
     if not np.any(wild):
         return wild, -np.inf
     return wild, misfit.gain_without(wild) / variance - float(np.sum(misfit.rank[wild] + 1)) * float(np.log(count))
 
 
-def _chance_of_poses(misfit: _Misfit, variance: float) -> Array:
-    """(N,) chance of what leaving out each pose alone explains."""
-    return misfit.chance(misfit.pose_gain, np.minimum(variance, misfit.variance_without) * WILDER)
+def _chance_of_poses(misfit: _Misfit, gain: Array, variance: float) -> Array:
+    """(N,) chance of what leaving out each pose alone explains, its gain (N,)."""
+    return misfit.chance(gain, np.minimum(variance, misfit.variance_without(gain)) * WILDER)
 
 
 def _noisy(problem: CalibrationProblem, misfit: _Misfit, variance: float) -> tuple[Suspect | None, float]:
