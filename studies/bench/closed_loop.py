@@ -8,7 +8,7 @@ from hydroopt import Model, load_machine
 from hydroopt.logs.table import encoded_columns
 from studies.bench.goals import Row
 from studies.bench.jobs import ITS_LIBRARIES
-from studies.bench.process import HYDROOPT, as_installed, libraries, measured
+from studies.bench.process import HYDROOPT, libraries, measured
 from studies.cat215b_tracking.run import feasible
 
 MOTION = 34 * 50 + 1
@@ -30,7 +30,7 @@ def control() -> list[Row]:
                    f"{folder}/log/truth.json", "-o", f"{folder}/loop", "--quiet"]
 
         def cpu(cache: str) -> float:
-            return measured(command, as_installed(folder) | {"HYDROOPT_CACHE": f"{folder}/{cache}"}).cpu
+            return measured(command, HYDROOPT_CACHE=f"{folder}/{cache}").cpu
 
         cpu("first")  # leaves bytecode
         anew = min(cpu(f"kernels{run}") for run in range(RUNS))

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from hydroopt import hydraulic_problem, load_machine, read_log
 from hydroopt.estimation.hydraulic.adjustment import adjust
 from studies.bench.goals import Row
-from studies.bench.process import HYDROOPT, as_installed, measured
+from studies.bench.process import HYDROOPT, measured
 
 SECONDS, RATE = "7", "100"
 MACHINES = ("patu655_lift", "cat215b")
@@ -25,8 +25,8 @@ def valves() -> list[Row]:
             log = f"{folder}/{name}"
             subprocess.run([HYDROOPT, "simulate", name, "--driven", "--duration", SECONDS, "--rate", RATE, "--truth",
                             "random", "--seed", "1", "-o", log, "--quiet"], check=True)
-            process = min(measured([HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"],
-                                   as_installed(folder)).cpu for _ in range(3))  # the first leaves bytecode and kernels
+            command = [HYDROOPT, "identify-valves", name, f"{log}/log.csv", "-o", f"{log}/out", "--quiet"]
+            process = min(measured(command).cpu for _ in range(3))  # the first leaves bytecode and kernels
             problem = hydraulic_problem(load_machine(name), [read_log(f"{log}/log.csv")])
             stretches, known = problem.balanced, problem.parameters
             began = time.process_time()
