@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hydroopt.checks.alternatives import UNITS
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
@@ -117,12 +118,29 @@ class MotionCheck(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Limits that are broken, and reserves that are used."""
-        return tuple(Diagnostic(
+        """Angles and strokes in another unit, limits that are broken, and reserves that are used."""
+        misread = (found for name, path in self.motions.items() for found in self._misread(name, path))
+        return (*misread, *(Diagnostic(
             Kind.LIMIT_BROKEN if each.broken else Kind.RESERVE_USED, (each.use.name,),
             {"amount": readable(each.beyond if each.broken else -each.use.room, each.use.unit), "at": each.at,
              "log": each.log, "x": each.place[0], "y": each.place[1], "z": each.place[2]})
-            for each in self.table if each.broken or each.short)
+            for each in self.table if each.broken or each.short))
+
+    def _misread(self, name: str, path: Trajectory) -> Iterator[Diagnostic]:
+        """Joints that move by more than their range beyond it, and keep to it if their positions have another unit."""
+        machine, by_unit = self.model.machine, dict[str, list[str]]()
+        for k, joint in enumerate(machine.joints):
+            (lower, upper), q = machine.link(joint).joint.range, path.q[:, k]
+            if np.max(np.abs(q - np.clip(q, lower, upper))) > upper - lower:
+                kind = "length" if machine.link(joint).joint.type == "prismatic" else "angle"
+                fitting = [unit for unit, factor in UNITS[kind].items()
+                           if np.all((factor * q >= lower) & (factor * q <= upper))]
+                for unit in fitting[:1]:
+                    by_unit.setdefault(unit, []).append(f"{joint}.q")
+        for unit, channels in by_unit.items():
+            yield Diagnostic(Kind.LOG_MISREAD, tuple(channels), {
+                "log": name, "reading": f"{', '.join(channels)} in {unit}", "agrees": "agrees",
+                "read_so": "positions keep to the joints' ranges", "as_read": "they are far beyond them"})
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:

@@ -91,9 +91,12 @@ def excite(
 
     Example: hydroopt excite cat215b -o out/drive
     """
+    import numpy as np
+
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.routines import DesignedMotion
+    from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import at_pace, excitation_problem
     from hydroopt.excitation.motion.known import identified
     from hydroopt.files import refuse_directory
@@ -120,6 +123,7 @@ def excite(
     if not 0 < pace <= 1:
         raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
                            remedy="give more than 0 and at most 100 %, such as '50 %'")
+    start_of(described, standing, np.zeros(len(described.joints)))  # refused before the search
     with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,

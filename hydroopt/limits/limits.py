@@ -14,7 +14,15 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt.limits.parts import Part, distance, distance_to_point, pairs, parts
+from hydroopt.limits.parts import (
+    Part,
+    built_close,
+    distance,
+    distance_to_point,
+    drawn_distances,
+    pairs,
+    parts,
+)
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
@@ -236,7 +244,7 @@ class Limits:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.SX(ca.DM(obstacle.centre)) if pose is None else pose.point(ca.DM(obstacle.centre))
             for part in found:
-                away = self._from_obstacle(part, obstacle.link, centre)
+                away = self._from_obstacle(part, obstacle.link, centre, obstacle.radius)
                 if away is not None:
                     self._add(f"distance of {part.name} to {obstacle.name}", "m",
                               away - part.radius - obstacle.radius, reserves.clearance, scale=1.0)
@@ -244,17 +252,22 @@ class Limits:
             self._add(f"distance of {one.name} to {other.name}", "m", distance(one, other) - one.radius - other.radius,
                       reserves.between, scale=1.0)
 
-    def _from_obstacle(self, part: Part, carrier: str, centre: ca.SX) -> ca.SX | None:
-        """Distance of a part from the centre of a ball on a link; of a line that is pinned there, of its outer half.
+    def _from_obstacle(self, part: Part, carrier: str, centre: ca.SX, radius: float) -> ca.SX | None:
+        """Distance of a part from the centre of a ball on a link.
 
-        None if it is the carrier, or a cylinder that is pinned there, or if it does not move against it.
+        Of a line that is pinned to that link and built close to the ball, that of its outer half. None if it is the
+        carrier, or a cylinder that is pinned there and built close, or if it does not move against it.
         """
-        if part.link == carrier or (not part.link and carrier in part.bodies):
+        if part.link == carrier:
             return None
-        if carrier in part.bodies and part.rooted:
-            part = part._replace(start=(part.start + part.end) / 2)
-        away, q = distance_to_point(part, centre), self.model.coordinates.q
-        return away if _varies(away, q) else None
+        away = distance_to_point(part, centre)
+        drawn, = drawn_distances(self.model, [away - part.radius - radius])
+        if carrier in part.bodies and part.rooted and built_close(drawn):
+            if not part.link:
+                return None
+            away = distance_to_point(part._replace(start=(part.start + part.end) / 2), centre)
+            drawn, = drawn_distances(self.model, [away])
+        return away if drawn.size and np.ptp(drawn) > VARIES else None
 
     def _tipping(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics

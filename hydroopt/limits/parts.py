@@ -91,14 +91,28 @@ def pairs(model: Model, within: float) -> Iterator[tuple[Part, Part]]:
              and not any(one.link in linkage and other.bodies <= linkage for linkage in linkages)]
     if not apart:
         return
-    between = ca.Function("between", [model.coordinates.q], [ca.vertcat(*(
-        distance(one, other) - one.radius - other.radius for one, other in apart))])
-    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
-    for pair, every in zip(apart, np.asarray(between.map(POSTURES)(drawn.T)), strict=True):
-        values = every[np.isfinite(every)]  # where linkages close
-        if values.size and np.min(values) < within and np.ptp(values) > VARIES and np.mean(values < CLOSE) <= OFTEN:
+    drawn = drawn_distances(model, [distance(one, other) - one.radius - other.radius for one, other in apart])
+    for pair, values in zip(apart, drawn, strict=True):
+        if values.size and np.min(values) < within and np.ptp(values) > VARIES and not built_close(values):
             yield pair
+
+
+def drawn_distances(model: Model, distances: Sequence[ca.SX]) -> list[Array]:
+    """Each of these functions of q [m] in random postures within all joints' limits, but those where loops do not
+    close."""
+    between = ca.Function("between", [model.coordinates.q], [ca.vertcat(*distances)])
+    low, high = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints]).T
+    drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
+    return [every[np.isfinite(every)] for every in np.asarray(between.map(POSTURES)(drawn.T))]
+
+
+def built_close(distances: Array) -> bool:
+    """Whether parts are built close to each other, by their distances [m] in random postures.
+
+    >>> built_close(np.array([0.05, 0.08, 0.3, 0.4])), built_close(np.array([0.05, 0.2, 0.3, 0.4]))
+    (True, False)
+    """
+    return bool(distances.size and np.mean(distances < CLOSE) > OFTEN)
 
 
 def _section(machine: Machine, link: str) -> str:

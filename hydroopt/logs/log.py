@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.errors import HydrooptError, LogError, ProblemError
+from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
 from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
@@ -18,6 +18,7 @@ from hydroopt.logs.quality import Finding
 from hydroopt.logs.stamps import of_datetimes
 from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
+from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
@@ -310,13 +311,7 @@ def refuse_damage_of(table: Table, t: Array, where: str) -> None:
 
 def missing(name: str, present: Iterable[str], where: str) -> LogError:
     """The error of a log that has no channel `name`, but those `present`."""
-    unit = {"rad": "deg", "Pa": "bar"}.get(usual := _usual(name), usual)
+    kinds = CHANNEL_UNITS.get(name.rpartition(".")[2], ("unit",))
+    columns = " or ".join(f"'{name} [{({'rad': 'deg', 'Pa': 'bar'}.get(kind, kind))}]'" for kind in kinds)
     return LogError(f"there is no channel '{name}' (present: {', '.join(present) or 'none'})", where=where,
-                    remedy=f"record it as a column '{name} [{unit}]' or name its column in a map")
-
-
-def _usual(name: str) -> str:
-    try:
-        return si_unit(name)
-    except HydrooptError:
-        return "unit"
+                    remedy=f"record it as a column {columns} or name its column in a map")

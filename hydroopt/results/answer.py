@@ -101,7 +101,7 @@ class Answer(Drawn, ABC):
     def verdict(self) -> Verdict:
         """What it can be used for, what not, and what to do next."""
         against = self.contradictions
-        checks = tuple(NextStep(Action.CHECK, each.remedy) for each in against if each.remedy)
+        checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in against) if remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
                        against[0].text if against else "", self.uses, (*checks, *self.next_steps), self.headline)
 

@@ -48,3 +48,15 @@ def test_own_parts_that_only_a_reserve_watches_are_checked() -> None:
     log = Log("still", t, {"lift.q": 0.5 + 0 * t, "tilt.q": -1.0 + 0 * t}, units={"lift.q": "rad", "tilt.q": "rad"})
     found = {each.use.name: each for each in check_motion(load_machine("patu655"), log).table}
     assert not found["distance of payload to lift_cylinder"].broken
+
+
+def test_degrees_that_are_taken_for_radians_are_named() -> None:
+    """What breaks first is no limit then, and what to correct is said once."""
+    degrees = swept(np.linspace(-30, -20, 101), np.linspace(60, 80, 101), 20.0)
+    found = check_motion(CAT, degrees)
+    assert found.diagnostics[0].subject == ("boom.q", "stick.q")
+    assert "boom.q, stick.q in deg" in found.verdict.cause
+    assert found.refuted
+    texts = [step.text for step in found.verdict.next_steps]
+    assert len(texts) == len(set(texts)) >= 3
+    assert not check_motion(CAT, swept(np.linspace(-0.4, -0.3, 101), np.linspace(1.9, 2.0, 101), 20.0)).refuted

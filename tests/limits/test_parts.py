@@ -141,3 +141,20 @@ def test_a_ground_beside_the_vertical_is_refused() -> None:
     """The Tampere manipulator's base has its y axis up: no height along z would ever be below such a ground."""
     with pytest.raises(MachineError, match=r"ground: .* z axis, which points 90 deg away from upwards; describe"):
         beside("tampere_manipulator", [], 'ground = "-1 m"')
+
+
+@pytest.mark.parametrize(("centre", "built_close"), [((1.0, 1.2, 1.5), False), ((1.0, 0.5, 0.5), True)])
+def test_a_boom_keeps_away_from_a_cab_on_its_own_platform(centre: tuple[float, ...], built_close: bool) -> None:
+    """All of its line counts, and the cylinder that is pinned there, unless the cab is built close to them."""
+    x, y, z = centre
+    limits = Limits(Model(read_machine(
+        'based_on = "excavator_bucket"\nname = "beside"\n[[obstacles]]\nname = "cab"\nlink = "swing"\n'
+        f'centre = ["{x} m", "{y} m", "{z} m"]\nradius = "0.8 m"\n')))
+    boom = np.linspace(-0.5, 0.7, 25)
+    q = np.column_stack([0 * boom, boom, -1.2 + 0 * boom, -0.4 + 0 * boom])
+    named = [row.name for row in limits.rows]
+    found = limits.values(q, 0 * q, 0 * q)[:, named.index("distance of boom to cab")]
+    of_whole = np.hypot(y, z * np.cos(boom) - x * np.sin(boom)) - 0.8  # the boom's foot is the platform's origin
+    assert np.allclose(found, of_whole, atol=1e-6) is not built_close
+    assert np.all(found > of_whole - 1e-6)
+    assert ("distance of boom_cylinder to cab" in named) is not built_close

@@ -138,7 +138,7 @@ class Calibration(KinematicSolution, Answer):
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
                     and self.category(use.subject) == FULL]:  # of the others, more poses may tell nothing either
             steps.append(NextStep(Action.MEASURE, f"For {weak[0]}, plan more poses and measure them:", (
-                f"hydroopt plan-poses {self.problem.model.machine.source} --focus {weak[0]} -o poses")))
+                f"hydroopt plan-poses {self.problem.model.machine.source} --focus {weak[0]} -n 20 -o poses")))
         if not self.workspace.moved and self.workspace.exact:
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "

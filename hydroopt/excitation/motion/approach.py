@@ -18,6 +18,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.machine import Machine
+from hydroopt.results.readable import readable
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -68,9 +69,9 @@ def start_of(machine: Machine, stated: Mapping[str, float], goal: Array) -> Arra
                                remedy=f"use {', '.join(machine.joints)}")
         lower, upper = machine.link(name).joint.range
         if not lower <= value <= upper:
-            unit = machine.channel_units[f"{name}.q"]
-            raise ProblemError(f"joint '{name}' cannot stand at {value:.4g} {unit}: its range is {lower:.4g} to "
-                               f"{upper:.4g} {unit}", where="--start", remedy="give a position within its range")
+            at, low, high = (readable(each, machine.channel_units[f"{name}.q"], 4) for each in (value, lower, upper))
+            raise ProblemError(f"joint '{name}' cannot stand at {at}: its range is {low} to {high}", where="--start",
+                               remedy="give a position within its range")
         found[machine.joints.index(name)] = value
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
@@ -38,6 +39,7 @@ from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.verdict import Purpose
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
 
@@ -47,6 +49,8 @@ STEP = 1e-4
 """Step [rad] of differences by the base's tilt."""
 DURATION, MOTIONS = 30.0, 3
 """Seconds of a motion, and how many random ones stand for designed ones."""
+TRIES = 10
+"""Random motions in which passive joints may leave their ranges."""
 TASK, TASK_RATE = 1000, 10.0
 """Seed and samples per second of the random motion in which forces are wanted where none is given."""
 
@@ -344,8 +348,28 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
     if dynamic and not len(Model(machine).parameters):
         raise ProblemError("the machine states no body or friction", where=f"target of '{dynamic[0]}'",
                            remedy="state them in the machine file, or ask for the tip")
-    driven = tuple(motions) or tuple(random_trajectory(machine, duration=DURATION, rate=sampling_rate(machine), seed=k)
-                                     for k in range(MOTIONS))
-    task = random_trajectory(machine, duration=DURATION, rate=TASK_RATE, seed=TASK) if task is None else task
+    driven = tuple(motions) or tuple(_random_motions(machine, MOTIONS, sampling_rate(machine), 0))
+    task = next(_random_motions(machine, 1, TASK_RATE, TASK)) if task is None else task
     return WhatNextProblem(machine, tuple(folders), targets, task, driven, dict(minutes or {}),
                            tuple(without), base_tilt, seed=seed, reserves=reserves.checked())
+
+
+def _random_motions(machine: Machine, count: int, rate: float, seed: int) -> Iterator[Trajectory]:
+    """The first so many random motions from a seed on in which passive joints keep to their ranges.
+
+    Raises:
+        ProblemError: they do in none of `TRIES` motions.
+    """
+    model, left = Model(machine), TRIES
+    for each in itertools.count(seed):
+        motion = random_trajectory(machine, duration=DURATION, rate=rate, seed=each)
+        try:
+            passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), model.parameters.nominal)
+        except ProblemError as error:
+            if (left := left - 1) == 0:
+                raise ProblemError(f"{error.what} in {TRIES} random motions", where="motions to compare",
+                                   remedy="give motions that excite designed (--trajectory, --motion)") from error
+            continue
+        yield motion
+        if (count := count - 1) == 0:
+            return

@@ -78,5 +78,5 @@ def tip_rows(calibration: CalibrationProblem) -> Array:
     q = np.random.default_rng(0).uniform(low, high, (WORKSPACE, len(low)))
     _, function = machine_end(model)
     by_g = model.over(function, model.parameters.nominal, q)[1] / np.sqrt(WORKSPACE)
-    rows = np.linalg.qr(by_g.reshape(-1, by_g.shape[2]), mode="r")
+    rows = np.linalg.qr(by_g.reshape(by_g.shape[0] * by_g.shape[1], by_g.shape[2]), mode="r")
     return np.asarray(np.pad(rows, ((0, 0), (0, len(calibration.parameters) - by_g.shape[2]))))

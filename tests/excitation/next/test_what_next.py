@@ -291,3 +291,16 @@ def test_machines_with_inclination_alone_need_no_sensor_at_a_vertical_joint() ->
     plan = ho.solve(ho.what_next_problem(machine, targets={"tip": 0.008}))
     assert plan.steps[0].measurement.name == "pins_boom"
     assert plan.stds[-1, 0] < 0.008 < plan.stds[0, 0]
+
+
+def test_random_motions_leave_out_those_in_which_passive_joints_leave_their_ranges() -> None:
+    """Of a crane whose grapple may sway by 25 deg only; by less than any motion makes, designed ones are asked for."""
+    def crane(sway: float) -> ho.Machine:
+        return ho.read_machine('based_on = "forestry_crane"\nname = "narrow"\n[[links]]\nname = "sway"\n'
+                               f'joint = {{ lower = "-{sway} deg", upper = "{sway} deg" }}\n')
+
+    problem = ho.what_next_problem(crane(25), targets={"load": 100.0})
+    for motion in (*problem.motions, problem.task):
+        assert ho.simulate(Model(problem.machine), motion, seed=0).size == len(motion.t)
+    with pytest.raises(ProblemError, match=r"leaves its range in 10 random motions; give motions that excite"):
+        ho.what_next_problem(crane(0.1), targets={"load": 100.0})

@@ -120,3 +120,20 @@ def test_the_plan_can_be_saved_loaded_and_read_by_calibrate(tmp_path: Path) -> N
 def test_bad_input_is_refused_in_one_sentence(machine: object, tip: float, options: dict, sentence: str) -> None:
     with pytest.raises(ProblemError, match=sentence):
         fewest_readings(measure_up_problem(load_machine(machine), tip=tip, **options), candidates=4)
+
+
+def test_a_machine_of_which_only_the_instruments_place_is_unknown_is_refused() -> None:
+    machine = hydroopt.read_machine((FILE.parent / "crane.toml").read_text() + """
+[calibrator]
+parent = "jib"
+[[instruments]]
+name = "station"
+[[sensors]]
+channels = ["lift.q", "jib.q"]
+accuracy = "0.1 deg"
+[[sensors]]
+channels = ["station.tip.x", "station.tip.y", "station.tip.z"]
+accuracy = "3 mm"
+""")
+    with pytest.raises(ProblemError, match="states the tip to 0 mm already; state a 'sigma' for every length"):
+        fewest_readings(measure_up_problem(machine, tip=0.01), candidates=4)
