@@ -165,6 +165,13 @@ class ForcesLate(OfMotion):
         found = super().effect(view, size)
         return found - super().effect(view, 0.0) if self.before else found
 
+    def sensitivity(self, view: View, at: float = 0.0) -> Array:
+        """Derivative of the effect by the size (N, c), which the view keeps for faults of other readings."""
+        alike = replace(self, group="", subject=(), words="", opposite="", readings=())
+        if (alike, at) not in view.kept:
+            view.kept[alike, at] = super(ForcesLate, alike).sensitivity(view, at)
+        return _only(view.kept[alike, at], self._concerned(view))
+
     def by_parameters(self, view: View, size: float) -> Array:
         """The regressor of that motion beyond that with the faults before."""
         found = super().by_parameters(view, size)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -62,6 +62,11 @@ class View:
         view = cls(experiment, psi, beside, span or (float(experiment.motion.t[0]), float(experiment.motion.t[-1])))
         again = _too_smooth(experiment)
         return replace(view, experiment=replace(experiment, motion=view._followed_closer(again))) if again else view
+
+    @cached_property
+    def kept(self) -> dict[Hashable, Array]:
+        """What was computed of this view for one fault, and is needed for others."""
+        return {}
 
     @property
     def model(self) -> Model:
