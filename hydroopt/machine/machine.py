@@ -113,9 +113,10 @@ class Machine(Drawn, MachineDescription):
             yield f"{place(coupling)}.offset", _under(raw, "offset"), units["offset"]
             for joint in coupling.ratios:
                 yield f"{place(coupling)}.ratios.{joint}", _under(raw, "ratios", joint), units[f"ratio.{joint}"]
+        units = self.channel_units
         for k, (sensor, raw) in enumerate(zip(self.sensors, data.get("sensors", ()), strict=True)):
             for key in ("accuracy", "resolution"):
-                yield f"sensors[{k}].{key}", _under(raw, key), self.channel_units[sensor.channels[0]]
+                yield f"sensors[{k}].{key}", _under(raw, key), units[sensor.channels[0]]
 
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()

@@ -55,14 +55,14 @@ def calibrated_machine(estimate: Identification) -> Machine:
     source = f"identified by {estimate.algorithm} from {logs}"
     confidence = np.where(np.isfinite(estimate.std), estimate.std, problem.parameters.prior_std)
     values = dict(zip(names, psi.tolist(), strict=True))
-    notes: dict[str, Note] = {}
+    notes, numbers = dict[str, Note](), machine.numbers
     for columns in problem.parameters.bodies.values():
         k = columns.start
         for span in (slice(k, k + 1), slice(k + 1, k + 4), slice(k + 4, k + 10)):
             notes |= dict.fromkeys(names[span], _note(estimate, span, confidence, source))
     for k, (name, kind) in enumerate(zip(names, problem.parameters.kinds, strict=True)):
         if not kind.is_inertial:
-            before = machine.notes.get(machine.numbers[name].path, Note())
+            before = machine.notes.get(numbers[name].path, Note())
             notes[name] = _note(estimate, slice(k, k + 1), confidence, source).model_copy(
                 update={"lower": before.lower, "upper": before.upper})
     try:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.lapack import singular_values
-from hydroopt.model.model import Model
+from hydroopt.model.model import KEPT, Model
 from hydroopt.spatial.inertia import Array
 
 FULL, COMBINATION, NONE = "full", "combination", "none"
@@ -136,6 +137,7 @@ def _first_independent(scaled: Array, rank: int, cut: float) -> list[int]:
     return chosen
 
 
+@lru_cache(maxsize=KEPT)
 def structural(model: Model, *, samples: int = 400, seed: int = 0,
                tolerance: float = STRUCTURAL_TOLERANCE) -> Identifiability:
     """Identifiability of a model under ideal motion: random joint states within limits, no noise (Section 4.4.2)."""

@@ -320,10 +320,8 @@ class View:
 
     def gravity(self, psi: Array) -> Array:
         """Forces (N, c, 3) of the bodies' weights per unit [m/s²] of gravity along the axes of the base frame."""
-        q = self.motion.q
-        made = np.array(self.model.gravity_forces(q.T, psi))  # of many columns at once: (n, 3·N)
-        forces = made.reshape(made.shape[0], len(q), 3).transpose(1, 0, 2)
-        return np.concatenate([forces, np.zeros((len(q), len(self.lengths), 3))], axis=1)
+        forces = self.model.over(self.model.gravity_forces, self.motion.q, psi)[0]
+        return np.concatenate([forces, np.zeros((len(forces), len(self.lengths), 3))], axis=1)
 
     @cached_property
     def pressures(self) -> Mapping[str, Array]:
