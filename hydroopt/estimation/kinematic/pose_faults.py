@@ -18,6 +18,8 @@ from hydroopt.spatial.inertia import Array
 
 BEYOND = 3.0
 """How many times its stated standard deviation a sensor must be off: less is what was stated."""
+CLEAR = 8.0
+"""Standard deviations by which a reading must change to say from where it comes: of less, its own error does."""
 SPLITS = 24
 """Places in the poses at which a move is tested, beside the ends of stages."""
 SHORTEST = 5
@@ -120,7 +122,7 @@ def faults(problem: CalibrationProblem, q: Array, linearised: Linearised) -> Ite
                 turn = np.stack([np.cos(q[:, k]), np.sin(q[:, k])], axis=1) * sensed[:, None]
                 yield Fault(SuspectKind.GEAR, joint, sensed, column * turn[:, None, :], np.ones(len(q)),
                             BEYOND * sigma, usual=ECCENTRIC)
-    yield from _of_cylinders(problem, linearised, starts)
+    yield from _of_cylinders(problem, q, linearised, starts)
     yield from _distances(problem, linearised)
     yield from _sagging(problem, q, linearised)
     yield from _moves(problem, q, linearised, starts)
@@ -141,19 +143,25 @@ def _of_sensor(problem: CalibrationProblem, name: str, column: Array, reading: A
             yield Fault(SuspectKind.OFFSET, name, late, column, late.astype(float), least, unit=unit, there=sensed)
     centred = np.where(sensed, reading - reading[sensed].mean(), 0.0)
     yield Fault(SuspectKind.SCALE, name, sensed, column, centred, least, float(np.max(np.abs(centred))), unit=unit)
-    going = np.where(sensed, np.sign(_direction(reading, labels)), 0.0)
+    going = _direction(reading, sensed, labels, CLEAR * sigma)
     yield Fault(SuspectKind.BACKLASH, name, sensed, column, going / 2, least, 0.5, unit=unit)
 
 
-def _of_cylinders(problem: CalibrationProblem, linearised: Linearised, starts: NDArray[np.intp]) -> Iterator[Fault]:
-    """Faults of length transducers; one that is not linear has a parabola, its size at the ends of its range."""
+def _of_cylinders(problem: CalibrationProblem, q: Array, linearised: Linearised,
+                  starts: NDArray[np.intp]) -> Iterator[Fault]:
+    """Faults of length transducers; one that is not linear has a parabola, its size at the ends of its range.
+
+    They are functions of the lengths of the solution: of the readings, whose own errors the residuals contain, in many
+    samples they would explain these.
+    """
+    lengths = problem.layout.target + problem.rows(problem.start, q)[0]
     for i, channel in enumerate(problem.model.channels):
         sensed = problem.layout.present[:, i]
         if not channel.endswith(".length") or not np.any(sensed):
             continue
         raw = np.zeros((len(sensed), len(problem.model.channels), 1))
         raw[sensed, i] = 1.0
-        column, reading = linearised.whitened(raw), problem.layout.target[:, i]
+        column, reading = linearised.whitened(raw), lengths[:, i]
         sigma, name = float(np.median(problem.row_sigma[sensed, i])), channel.removesuffix(".length")
         yield from _of_sensor(problem, name, column, reading, sensed, sigma, "mm", starts)
         middle, half = (np.max(reading[sensed]) + np.min(reading[sensed])) / 2, np.ptp(reading[sensed]) / 2
@@ -267,8 +275,22 @@ def _splits(rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.asarray(rows[np.unique(np.linspace(SHORTEST, len(rows) - SHORTEST, SPLITS).astype(int))])
 
 
-def _direction(angle: Array, labels: NDArray[np.str_]) -> Array:
-    """Change (N,) from the pose before, within a stage."""
-    step = np.diff(angle, prepend=angle[:1])
-    step[np.concatenate([[True], labels[1:] != labels[:-1]])] = 0.0
-    return step
+def _direction(reading: Array, sensed: NDArray[np.bool_], labels: NDArray[np.str_], clear: float) -> Array:
+    """Direction (N,) of the move within a stage, of more than `clear`, on which each pose was read; 0 where none is.
+
+    >>> label, sensed = np.full(6, "log"), np.ones(6, bool)
+    >>> _direction(np.array([0.0, 1.0, 0.9, 2.0, 1.9, 0.5]), sensed, label, 0.5).tolist()
+    [0.0, 1.0, 1.0, 1.0, -1.0, -1.0]
+    """
+    found, label, last, going = np.zeros(len(reading)), "", np.intp(0), 0.0
+    for k in np.flatnonzero(sensed):
+        step = reading[k] - reading[last]
+        if labels[k] != label:
+            label, last, going = labels[k], k, 0.0
+        elif step * going > 0:  # farther
+            last = k
+        elif abs(step) > clear:  # back from the farthest
+            found[last + 1 : k] = going = np.sign(step)
+            last = k
+        found[k] = going
+    return np.where(sensed, found, 0.0)

@@ -29,7 +29,7 @@ from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.results.answer import load
-from hydroopt.simulation.simulate import random_truth
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 from hydroopt.spatial.inertia import Array
 from tests.fixtures.attached import LOCKED, attached_motion, record, with_geometry
 
@@ -313,3 +313,20 @@ def test_what_cannot_be_combined_is_refused(machine: Machine, noisy: Log) -> Non
         identify_with_geometry(combined_problem(machine, noisy), "wls")
     with pytest.raises(ProblemError, match="correlated channels"):
         CombinedProblem(identification_problem(machine, noisy).with_correlated_channels())
+
+
+@pytest.mark.parametrize("name", ["patu655_lift", "wheel_loader"])
+def test_readings_own_errors_are_no_fault_of_a_sensor(name: str) -> None:
+    """In many samples they explained the residuals, which contain them: backlash, or a scale of 10 %."""
+    machine = load_machine(name)
+    log = simulate(machine, random_trajectory(machine, duration=15.0, rate=100.0, seed=3), seed=3)
+    length = log.channels["lift_cylinder.length"]
+    smooth = np.convolve(np.pad(length, 25, "edge"), np.ones(51) / 51, "valid")
+    late = length + 0.01 * np.sign(np.gradient(smooth))  # a play of 2 cm
+    named = []
+    for read in (length, late):
+        changed = replace(log, channels={**log.channels, "lift_cylinder.length": read})
+        experiments = in_memory(identification_problem(machine, changed).experiments, "geometry")
+        named.append([each.phrase for each in calibrate(postures(machine, experiments)).suspects])
+    assert named[0] == []
+    assert named[1][0].startswith("backlash of 'lift_cylinder' by 19")
