@@ -7,16 +7,12 @@ import json
 from collections import OrderedDict
 from dataclasses import replace
 from hashlib import sha256
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.estimation.motion.misread import examined_fit
-from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import motion_channels
-from hydroopt.estimation.motion.paths import motion
-from hydroopt.estimation.motion.problem import FASTEST, SensorProblem
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
@@ -24,6 +20,10 @@ from hydroopt.logs.smoothing import Motion, inside
 from hydroopt.machine.machine import Machine
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.motion.motion_fit import FittedPaths
+    from hydroopt.estimation.motion.problem import SensorProblem
 
 KEPT = 4
 """Fits that are kept, so that preparing the same logs again, as for each set of friction, does not repeat them."""
@@ -58,6 +58,9 @@ def sensed(machine: Machine, log: Log) -> Sensed:
         LogError: a joint's motion is not measured, or an IMU is misread.
         SolverError: the fit does not converge.
     """
+    from hydroopt.estimation.motion.paths import motion  # noqa: PLC0415 — loaded when it is used
+    from hydroopt.estimation.motion.problem import FASTEST, SensorProblem  # noqa: PLC0415 — loaded when it is used
+
     recording = Recording.of(log)
     found, cause = _kept_fit(SensorProblem(machine, (recording,), geometry=False))
     if cause is not None:
@@ -89,6 +92,8 @@ def sensed(machine: Machine, log: Log) -> Sensed:
 
 def _kept_fit(problem: SensorProblem) -> tuple[FittedPaths, Diagnostic | None]:
     """As `examined_fit`, but once for the same recording and machine, whatever its bodies and friction."""
+    from hydroopt.estimation.motion.misread import examined_fit  # noqa: PLC0415 — loaded when it is used
+
     key = _key(problem)
     if key not in _kept:
         _kept[key] = examined_fit(problem)

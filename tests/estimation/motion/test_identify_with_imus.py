@@ -11,6 +11,7 @@ import hydroopt as ho
 from hydroopt.estimation.dynamic.log_check import check_logs
 from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.motion import misread
 from hydroopt.estimation.motion import sensed as module
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.results.diagnostic import of_kind
@@ -74,8 +75,8 @@ def test_motion_is_fitted_once_whatever_bodies_and_friction_are(monkeypatch: pyt
     """And again where the machine's geometry or the readings differ."""
     machine = arm(stick_exact=True)
     log, count = simulated(machine, 5, duration=6.0)[1], []
-    fit = module.examined_fit
-    monkeypatch.setattr(module, "examined_fit", lambda problem: count.append(problem) or fit(problem))
+    fit = misread.examined_fit
+    monkeypatch.setattr(misread, "examined_fit", lambda problem: count.append(problem) or fit(problem))
     first, again = (module.sensed(each, log) for each in (machine, machine.with_values({"boom.m": 310.0})))
     np.testing.assert_array_equal(first.motion.q, again.motion.q)
     assert len(count) == 1
