@@ -104,7 +104,7 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    settings.max_threads = 1  # of so few rows threads wait for each other, twice as long in all
+    settings.max_threads = 1  # of so few rows, more take longer
     # coordinates are whitened: scaling the rows as well costs steps, and without noise the end of the search
     answers = []
     for settings.equilibrate_enable in (False, True):
