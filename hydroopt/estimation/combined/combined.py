@@ -72,8 +72,9 @@ def _about(problem: CombinedProblem, beside: Sequence[NumbersBeside], kinematics
     theta = dict(zip(kinematics.problem.parameters.names, kinematics.theta.tolist(), strict=True))
     theta |= dict(zip(beside[0].names, beside[0].value.tolist(), strict=True))
     geometry = {name: theta[name] for name in chain.parameters.names}
-    model = Model(machine.with_values(closed_flat(machine, geometry)), actuator_inertia=nominal.model.actuator_inertia,
-                  calibrator=nominal.model.calibrator, terms=nominal.model.terms)
+    calibrated = machine.with_values(closed_flat(machine, geometry)).standing_for(machine)
+    model = Model(calibrated, actuator_inertia=nominal.model.actuator_inertia, calibrator=nominal.model.calibrator,
+                  terms=nominal.model.terms)
     train, held_out = ([prepared(data.log, model, problem.smoothing) for data in some]
                        for some in (nominal.experiments, nominal.validation))
     return replace(nominal, model=model, experiments=tuple(train), validation=tuple(held_out), fitted_motion=True,

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 
+LARGEST = 1.0
+"""Deflection [rad, m] that no joint has: poses that show only larger ones show none."""
 CLEAR = 2.0
 """Standard errors by which squared errors of held-out poses must fall for one more joint to count as compliant."""
 RULE = ("Joints are taken in one after the other, the one first that lowers the squared errors of held-out poses most, "
@@ -64,6 +64,6 @@ class ComplianceChoice:
         for name, each in zip(names, self.candidates, strict=True):
             change = "" if each is self.candidates[0] else f"{each.difference:+.4f} ± {each.std:.4f}"
             lines.append(f"{'*' if each.chosen else ' '} {name:<{width}}  {each.held_out:>13.4f}  {change}")
-        shown = ", ".join(f"{joint} from {readable(sag, self.units[joint])}" if np.isfinite(sag) else f"{joint} never"
+        shown = ", ".join(f"{joint} from {readable(sag, self.units[joint])}" if sag < LARGEST else f"{joint} never"
                           for joint, sag in self.detectable.items())
         return "\n".join([*lines, RULE, f"Deflections that would show in these poses: {shown}."])

@@ -40,7 +40,7 @@ def with_compliance(machine: Machine, sigmas: Mapping[str, float]) -> Machine:
         else:
             link["joint"]["compliance"] = units[name].joint.compliance or 0.0
             notes[path] = notes.get(path, Note()).model_copy(update={"sigma": sigmas[name], "relative": False})
-    return Machine.model_validate(data | {"notes": notes})
+    return Machine.model_validate(data | {"notes": notes}).standing_for(machine)
 
 
 def choose_compliance(machine: Machine, poses: Poses) -> ComplianceChoice:

@@ -53,6 +53,7 @@ def test_a_soft_joint_is_found(machine: Machine, planned: Poses) -> None:
 def test_a_stiff_arm_is_left_stiff(machine: Machine, planned: Poses) -> None:
     poses = measured(machine, planned, 0.0, 1)
     choice = choose_compliance(machine, poses)
+    assert with_compliance(load_machine("cat215b"), {}).source == "cat215b"
     assert choice.joints == ()
     chosen = compliant(machine, poses, choice.joints)
     assert not [name for name in KinematicModel(chosen).parameters.names if name.endswith("compliance")]
