@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -53,6 +54,15 @@ def posed() -> None:
             shutil.copy("filled/poses.csv", "poses.csv")
 
 
+def misread() -> None:
+    """Poses of a plan, in one of which the station's reading is 10 cm off."""
+    run(f"hydroopt plan-poses {RIG} -n 25 -o poses")
+    run(f"hydroopt simulate {RIG} --postures poses/postures.csv --seed 3 -o filled")
+    table = pd.read_csv("filled/poses.csv")
+    table.loc[6, "station.tip.z [m]"] += 0.1
+    table.to_csv("poses.csv", index=False)
+
+
 def nothing() -> None:
     """Nothing has to be measured."""
 
@@ -66,6 +76,7 @@ CASES: dict[str, tuple[Callable[[], None], str, Callable[[], None]]] = {
     "what-next, poses": (nothing, f"hydroopt what-next {RIG} --tip-std '10 mm' --budget 30 -o 'my out'", posed),
     "what-next, forces": (nothing, "hydroopt what-next patu655_lift --force-std '1 %' -o 'my out'", logged),
     "plan-poses": (nothing, f"hydroopt plan-poses {RIG} -n 12 -o 'my out'", posed),
+    "calibrate": (misread, f"hydroopt calibrate {RIG} poses.csv -o 'my out'", nothing),
     "identify-valves": (
         driven, "hydroopt identify-valves patu655_lift 'my run/log.csv' --holdout 0.3 -o 'my out'",
         nothing),

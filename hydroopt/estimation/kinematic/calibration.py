@@ -131,8 +131,12 @@ class Calibration(KinematicSolution, Answer):
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
-        """Which poses to measure, or how to use it."""
+        """Which poses to correct, which to measure, or how to use it."""
         steps = []
+        wrong = [each.place for each in self.suspects if each.kind.is_poses and each.decided]
+        if wrong and not self.command_line.given("--without-suspects"):
+            steps.append(NextStep(Action.CHECK, f"Correct {', '.join(wrong[:3])}, or leave out what contradicts the "
+                                  "others:", self.command_line.again("--without-suspects")))
         if self.problem.validation is None:
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
