@@ -32,6 +32,8 @@ SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
 STEP = 0.15
+YIELD = 1.5
+"""By which the position gains of all other loops are divided as long as an axis finds none."""
 ENTRY = 10.0
 """Position gains up to which a loop may be less robust than with a higher one, in parts of the plant's fastest growth:
 where a load lightens along the motion, errors of the position grow unless the gain is higher than that growth."""
@@ -164,7 +166,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     a phase margin of at least 2·arcsin(1/(2·M)). The complementary sensitivity, at most `COMPLEMENTARY_SENSITIVITY`,
     sets the second one too: 45 degrees, however large M is. Where a load lightens along the motion, an open valve lets
     errors of the position grow: such a loop is stable with high gains only, so that low ones may be less robust
-    (`ENTRY`).
+    (`ENTRY`). Where the loops of the other axes are so fast that an axis finds no gains, they yield (`YIELD`).
 
     Args:
         plants: sampled, with delays, at each point.
@@ -181,32 +183,44 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     m, entry = len(axes.names), ENTRY * loops.growth
     gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
 
+    ceiling = np.full(m, np.inf)
+
     def robust(k: int, position: float, part: float, filter_time: float) -> bool:
         own = list(axes.actuators[k])
         gains.position[k], gains.force[own], gains.filter_time[k] = position, part * full[own], filter_time
         gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
         return loop.robust(*loops.of_axis(gains, k), largest)
 
+    def fastest(k: int, last: bool) -> tuple[float, float, float]:
+        best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
+        for filter_time in FILTER_TIMES:
+            for part in parts:
+                # upwards step by step, since the sensitivity may be low again beyond instability
+                if not robust(k, 0.0, part, filter_time):
+                    break
+                position, passed = SLOWEST_LOOP, list[float]()
+                while position <= ceiling[k] and ((one := robust(k, position, part, filter_time)) or position < entry):
+                    passed += [position] if one else []
+                    position *= 1 + STEP
+                for position in reversed(passed):
+                    if (position, part, filter_time) <= best:
+                        break
+                    if not last or (robust(k, position, part, filter_time) and loops.stable(gains)):
+                        best = (position, part, filter_time)
+                        break
+        return best
+
     for sweep in range(SWEEPS):
         for k, name in enumerate(axes.names):
             progress(f"tuning {name}", (sweep + k / m) / SWEEPS)
-            loop, best = loops.cut(gains, k), (0.0, 0.0, 0.0)
-            parts = FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
-            for filter_time in FILTER_TIMES:
-                for part in parts:
-                    # upwards step by step, since the sensitivity may be low again beyond instability
-                    if not robust(k, 0.0, part, filter_time):
-                        break
-                    position, passed = SLOWEST_LOOP, list[float]()
-                    while (one := robust(k, position, part, filter_time)) or position < entry:
-                        passed += [position] if one else []
-                        position *= 1 + STEP
-                    for position in reversed(passed):
-                        if (position, part, filter_time) <= best:
-                            break
-                        if sweep < SWEEPS - 1 or (robust(k, position, part, filter_time) and loops.stable(gains)):
-                            best = (position, part, filter_time)
-                            break
+            loop = loops.cut(gains, k)
+            best, others = fastest(k, sweep == SWEEPS - 1), np.arange(m) != k
+            while best[0] <= 0 and np.any(gains.position[others] > SLOWEST_LOOP):
+                # faster loops of the others leave none to this one
+                gains.position[others] = ceiling[others] = np.maximum(gains.position[others] / YIELD, SLOWEST_LOOP)
+                gains.integral_time[others] = INTEGRAL_RATIO / gains.position[others]
+                loop = loops.cut(gains, k)
+                best = fastest(k, sweep == SWEEPS - 1)
             if best[0] <= 0:
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
                                    where="control", remedy="raise --rate, or allow a higher --sensitivity")

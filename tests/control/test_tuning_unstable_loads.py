@@ -18,15 +18,23 @@ from hydroopt.control.valve_inversion import Valves
 RATE = 100.0
 
 
-@pytest.fixture(scope="module")
-def upright() -> tuple[Valves, list[Point], list[LinearSystem]]:
-    """The lift of Tampere's manipulator goes up nearly upright, and slowly in the middle of its range."""
+States = dict[str, tuple[list[float], list[float]]]
+
+
+def manipulator(states: States) -> tuple[Valves, list[Point], list[LinearSystem]]:
+    """Tampere's manipulator in positions and at speeds by name [rad, m]."""
     plant = Plant(Model(load_machine("tampere_manipulator")))
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
-    points = [point(plant, name, np.array(q), np.array(qd), psi, theta) for name, q, qd in (
-        ("upright", [1.21, -0.377, 0.36], [0.27, -0.082, -0.05]), ("middle", [0.6, -1.0, 0.4], [-0.1, 0.1, 0.1]))]
+    points = [point(plant, name, np.array(q), np.array(qd), psi, theta) for name, (q, qd) in states.items()]
     return Valves(plant, theta), points, [sampled(linearised(plant, each, psi, theta), plant.delays, 1 / RATE)
                                           for each in points]
+
+
+@pytest.fixture(scope="module")
+def upright() -> tuple[Valves, list[Point], list[LinearSystem]]:
+    """The lift goes up nearly upright, and slowly in the middle of its range."""
+    return manipulator({"upright": ([1.21, -0.377, 0.36], [0.27, -0.082, -0.05]),
+                        "middle": ([0.6, -1.0, 0.4], [-0.1, 0.1, 0.1])})
 
 
 def growth(system: LinearSystem) -> float:
@@ -45,3 +53,12 @@ def test_a_load_that_lightens_is_stabilised(upright: tuple[Valves, list[Point], 
 
     assert closed(1.0) < 0
     assert closed(0.1) > 0  # which the sensitivity alone does not show
+
+
+def test_fast_loops_yield_to_one_that_finds_no_gains_beside_them() -> None:
+    valves, points, plants = manipulator({"upright": ([1.413, -1.292, 0.006], [0.27, 0.412, 0.051]),
+                                          "slow": ([0.571, -0.727, 0.876], [-0.035, -0.044, -0.03])})
+    gains = tuned(plants, points, valves)
+    assert np.all(gains.position > 1.0)
+    for plant, each in zip(plants, points, strict=True):
+        assert growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each))) < 0
