@@ -11,9 +11,9 @@ from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, compact, folded_rows
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
+from hydroopt.kernels.cosine import cosine_transform
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
-from hydroopt.spectra import cosine_transform
 
 BLOCK = 2**13
 """Samples at most whose frequencies are computed together: of a stretch in memory and of a log in pieces alike."""
@@ -92,9 +92,10 @@ class ActuatorBands:
         if len(repeated) < len(self.contrast[actuator]) or np.ptp(sign):
             block[k:-1] *= sign
             return cosine_transform(block)
-        # in one half of the log C_i are columns of K_i, or their opposites
-        for some in (block[:k], block[-1:]):
-            cosine_transform(some)
+        # in one half of the log C_i are columns of K_i, or their opposites: their place is free for the forces
+        block[k] = block[-1]
+        cosine_transform(block[: k + 1])
+        block[-1] = block[k]
         np.multiply(sign[0], block[repeated], out=block[k:-1])
         return block
 
