@@ -69,8 +69,8 @@ class WindowedRows:
         """The product (m, m) of the transpose with these rows, in lower band storage (w, m)."""
         width = self.values.shape[1]
         made, at = np.zeros((width, self.columns)), self.first[self._starts]
+        turned = np.ascontiguousarray(self.values.T)
         for k in range(width):
-            products = self._summed(self.values[:, k:] * self.values[:, k : k + 1])
             for below in range(width - k):
-                made[below, at + k] += products[:, below]
+                made[below, at + k] += self._summed(turned[k] * turned[k + below])
         return made
