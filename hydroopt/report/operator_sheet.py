@@ -74,7 +74,10 @@ def _steps(excitation: Excitation) -> list[tuple[str, list[str]]]:
         steps = [("The machine stands here. Check it.", posture(found.postures[0]))]
         steps += [(f"Drive approach.csv: at {plain(float(t), 3)} s it rests here.", posture(q))
                   for q, t in zip(found.postures[1:], found.arrivals[1:], strict=True)]
-    return [*steps, ("Start the log, wait two seconds.", posture(path.q[0])),
+    hanging = " and ".join(problem.machine.joints[k] for k in problem.limits.hanging.joints)
+    start = "Start the log, wait two seconds." if not hanging else (
+        f"Wait until {hanging} hang still, since the motion is safe from there only. Start the log, wait two seconds.")
+    return [*steps, (start, posture(path.q[0])),
             (f"Drive trajectory.csv: {plain(problem.basis.duration)} s. It ends here at rest.", posture(path.q[-1])),
             ("Wait two seconds, stop the log.", posture(path.q[-1]))]
 

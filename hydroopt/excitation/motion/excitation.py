@@ -20,6 +20,7 @@ from hydroopt.excitation.motion.diagnostics import UNIMPROVED, excitation_diagno
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion
+from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.limits.use import Course, UseOfLimit, courses
 from hydroopt.logs.table import encoded_columns
 from hydroopt.parameters.parameter_set import ParameterKind
@@ -99,8 +100,9 @@ class Excitation(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What to know before the motion is driven."""
+        slower = isinstance(self.problem.basis, Slowed)  # random motions of that pace may be larger
         return excitation_diagnostics(self.problem, self.accuracy, stopped=self.stopped,
-                                     better_random=self.random_motions if self.gain < 1 else 0)
+                                     better_random=0 if slower or self.gain >= 1 else self.random_motions)
 
     @cached_property
     def accuracy(self) -> ExpectedAccuracy:

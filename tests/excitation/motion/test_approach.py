@@ -107,3 +107,11 @@ def test_a_reserve_of_what_is_not_limited_is_refused(tmp_path: Path) -> None:
     for reserve, named in (("clearance=0.5 m", "neither ground nor obstacles"), ("tipping=20 %", "no footprint")):
         done = CliRunner().invoke(app, ["excite", "wheel_loader", "-o", str(tmp_path / "out"), "--reserve", reserve])
         assert named in str(done.exception)
+
+
+def test_the_sheet_waits_until_a_grapple_hangs_still(tmp_path: Path) -> None:
+    """The motion is checked from rest, and the grapple swings at the end of an approach."""
+    done = CliRunner().invoke(app, ["excite", "forestry_crane", "-o", str(tmp_path), "--starts", "1", "--processes", "1",
+                                    "--seconds", "1", "--duration", "15", "--harmonics", "2", "--quiet"])
+    assert done.exit_code == 0, done.exception
+    assert "Wait until swing and sway hang still" in (tmp_path / "sheet.html").read_text("utf-8")
