@@ -107,7 +107,7 @@ class Demands:
             still: speeds are zero as well.
 
         Raises:
-            ProblemError: the supply's pressure does not suffice for a force.
+            ProblemError: the supply's pressure does not suffice for a force that does not brake.
             SolverError: the pressures could not be integrated.
         """
         leads = lead(self.valves, period := float(self.t[1] - self.t[0]))
@@ -122,7 +122,7 @@ class Demands:
         own = [names.index(each.actuator.name) for each in self.plant.actuators]
         measured = forces(model, path, psi)[:, own]
         force = measured - offset(self.plant, model, psi)
-        self._refuse_force(times, force)
+        self._refuse_force(times, force, speed)
         rate = np.diff(force, axis=0, append=force[-1:]) / np.diff(times, append=times[-1] + period)[:, None]
         pressure = self._pressures(times, length, speed, force, rate)
         now = np.zeros_like(leads)
@@ -140,6 +140,8 @@ class Demands:
         """Pressures [Pa] of both chambers, (M, a) each, that produce the forces of a motion."""
         supply, (a, b) = self.plant.supply, np.array([each.areas for each in self.plant.actuators]).T
         start = np.asarray(self.valves.steady(speed[0], force[0], supply)).ravel()
+        # a load that drags the actuator along would begin with a cavity that takes seconds to fill
+        start = np.max([start, np.full_like(a, supply[1]), (force[0] + b * supply[1]) / a], axis=0)
 
         try:
             later = self.valves.pressures(start, np.diff(times), (speed, length, force), rate[:-1], supply)
@@ -149,9 +151,11 @@ class Demands:
         p_a = np.vstack([start, later])
         return p_a, (a * p_a - force) / b
 
-    def _refuse_force(self, times: Array, force: Array) -> None:
+    def _refuse_force(self, times: Array, force: Array, speed: Array) -> None:
+        """A force along the motion comes from the pump; one that brakes, from the oil that the valve holds back."""
         (a, b), (pump, tank) = np.array([each.areas for each in self.plant.actuators]).T, self.plant.supply
-        beyond = np.maximum(force - (a * pump - b * tank), (a * tank - b * pump) - force)
+        beyond = np.maximum(np.where(speed >= 0, force - (a * pump - b * tank), -np.inf),
+                            np.where(speed <= 0, (a * tank - b * pump) - force, -np.inf))
         k, i = divmod(int(np.argmax(beyond)), len(a))
         if beyond[k, i] >= 0:
             actuator = self.plant.actuators[i].actuator

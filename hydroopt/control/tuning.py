@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
@@ -62,10 +64,11 @@ class _Loops:
         return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
                    (plant.poles for plant in self.plants))
 
-    def stable(self, gains: Gains) -> bool:
-        """Whether errors die away at every point with all loops closed."""
+    def grows_slower(self, gains: Gains, growth: float) -> bool:
+        """Whether errors grow at no point faster than this [1/s] with all loops closed; zero asks that they die away.
+        """
         return all(_growth(closed_loop(plant, linear_feedback(
-            self.axes, self.valves, gains, self.period, point)).poles, self.period) <= 0
+            self.axes, self.valves, gains, self.period, point)).poles, self.period) <= growth
                    for plant, point in zip(self.plants, self.points, strict=True))
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
@@ -166,7 +169,8 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     a phase margin of at least 2·arcsin(1/(2·M)). The complementary sensitivity, at most `COMPLEMENTARY_SENSITIVITY`,
     sets the second one too: 45 degrees, however large M is. Where a load lightens along the motion, an open valve lets
     errors of the position grow: such a loop is stable with high gains only, so that low ones may be less robust
-    (`ENTRY`). Where the loops of the other axes are so fast that an axis finds no gains, they yield (`YIELD`).
+    (`ENTRY`). Where the loops of the other axes are so fast that an axis finds no gains, they yield (`YIELD`). Where
+    errors grow at a point whatever the gains, they grow no faster than without feedback.
 
     Args:
         plants: sampled, with delays, at each point.
@@ -181,6 +185,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     loops = _Loops(plants, points, valves)
     axes, full = loops.axes, np.where(loops.axes.measured, valves.speed_per_force, 0.0)
     m, entry = len(axes.names), ENTRY * loops.growth
+    free = max(_growth(plant.poles, loops.period) for plant in plants)
     gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
 
     ceiling = np.full(m, np.inf)
@@ -191,7 +196,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
         gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
         return loop.robust(*loops.of_axis(gains, k), largest)
 
-    def fastest(k: int, last: bool) -> tuple[float, float, float]:
+    def fastest(k: int, growth: float) -> tuple[float, float, float]:
         best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
         for filter_time in FILTER_TIMES:
             for part in parts:
@@ -205,7 +210,8 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
                 for position in reversed(passed):
                     if (position, part, filter_time) <= best:
                         break
-                    if not last or (robust(k, position, part, filter_time) and loops.stable(gains)):
+                    if math.isinf(growth) or (robust(k, position, part, filter_time)
+                                              and loops.grows_slower(gains, growth)):
                         best = (position, part, filter_time)
                         break
         return best
@@ -213,14 +219,18 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     for sweep in range(SWEEPS):
         for k, name in enumerate(axes.names):
             progress(f"tuning {name}", (sweep + k / m) / SWEEPS)
-            loop = loops.cut(gains, k)
-            best, others = fastest(k, sweep == SWEEPS - 1), np.arange(m) != k
+            loop, others, before = loops.cut(gains, k), np.arange(m) != k, copy.deepcopy(gains)
+            best = fastest(k, 0.0 if sweep == SWEEPS - 1 else math.inf)
             while best[0] <= 0 and np.any(gains.position[others] > SLOWEST_LOOP):
                 # faster loops of the others leave none to this one
                 gains.position[others] = ceiling[others] = np.maximum(gains.position[others] / YIELD, SLOWEST_LOOP)
                 gains.integral_time[others] = INTEGRAL_RATIO / gains.position[others]
                 loop = loops.cut(gains, k)
-                best = fastest(k, sweep == SWEEPS - 1)
+                best = fastest(k, 0.0)
+            if best[0] <= 0:  # another loop is unstable at a point, whatever this one does
+                gains, ceiling = before, np.full(m, np.inf)
+                loop = loops.cut(gains, k)
+                best = fastest(k, free)
             if best[0] <= 0:
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
                                    where="control", remedy="raise --rate, or allow a higher --sensitivity")
