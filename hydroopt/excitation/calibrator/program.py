@@ -39,8 +39,11 @@ STROKE = 0.1
 """Part of each stroke by which poses stay away from its ends."""
 DEXTERITY = 0.1
 """Least determinant of J·Jᵀ over the cube of its mean eigenvalue, J (3, r) the motion of the ball by the calibrator's
-joints: 1 where it moves alike in all directions, 0 in a singular pose. It also keeps the calibrator from being
-stretched, so that it still reaches the ball if the machine is some centimetres off."""
+joints: 1 where it moves alike in all directions, 0 in a singular pose."""
+
+TURN, CERTAINTY = 0.2, 3.0
+"""How far joints of the calibrator may turn, at most [rad], to reach the ball where the machine is so many standard
+deviations off: a calibrator that is nearly stretched would not reach it."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,12 @@ class JointProgram:
         return [int(k) for k in np.flatnonzero(self.calibration.free)]
 
     @cached_property
+    def uncertain(self) -> Array:
+        """(p,) standard deviations of the geometry; zero of what is exact."""
+        parameters = self.problem.model.parameters
+        return np.where([name in self.problem.fixed for name in parameters.names], 0.0, parameters.scale)
+
+    @cached_property
     def rows(self) -> list[ca.Function]:
         """(theta, q) -> transposed white rows (f, u) of each group."""
         groups = len(self.problem.groups)
@@ -117,7 +126,11 @@ class JointProgram:
         if machine.ground is not None and machine.calibrator is not None:
             ends = model.far_ends(g, q)[2, len(machine.ancestry(machine.calibrator.parent)) - 1 : -1]
             rest.append(ends.T - machine.ground - self.clearance)
-        rest.append(dexterity(by_q[:3, postures.sensed_joints(model)]) - DEXTERITY)
+        motion = by_q[:3, postures.sensed_joints(model)]
+        rest.append(dexterity(motion) - DEXTERITY)
+        moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.uncertain))
+        turned = motion.T @ ca.solve(motion @ motion.T, moved)
+        rest.append(TURN - CERTAINTY * ca.sqrt(ca.sum2(turned**2) + 1e-12))
         return ca.Function("bounded", [theta, q], [gap[closes], ca.vertcat(*rest)], ["theta", "q"], ["gap", "rest"])
 
     def criterion(self, theta: Any, q: Sequence[Any], share: Sequence[Any]) -> Any:
