@@ -33,7 +33,7 @@ from hydroopt.simulation.pose_table import simulate_poses
 HERE = Path(__file__).parent
 BUDGET, POINTS = 60.0, 300
 """Minutes; postures at which the tip is judged."""
-DRAWS = {"cat215b_tip": 50, "cat215b_force": 20, "cat215b_load": 8, "bucket_tip": 25}
+DRAWS = {"cat215b_tip": 50, "cat215b_force": 50, "cat215b_load": 50, "bucket_tip": 25}
 """Drawn machines: how many is a matter of time."""
 MANY = 1000
 """Candidates from which nothing could be better than stated."""
@@ -252,8 +252,9 @@ def forces_error(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machi
 def compared(make: Callable[..., Machine], goals: Sequence[str], label: str, draws: int | None = None,
              without: Sequence[str] = ()) -> dict:
     """All figures of a machine."""
-    # swings ask neither for ground nor for strength, and neither do the plans that are compared with them
-    result, (machine, far) = {}, (make(factor).model_copy(update={"ground": None}) for factor in (1.0, 2.0))
+    # swings ask neither for ground, workspace nor strength, and neither do the plans that are compared with them
+    nowhere = {"ground": None, "footprint": None, "workspace": None}
+    result, (machine, far) = {}, (make(factor).model_copy(update=nowhere) for factor in (1.0, 2.0))
     for name in goals:
         count = draws or DRAWS[f"{label}_{name}"]
         targets = {name: {"tip": 1e-6, "force": 1e-6}.get(name, 1e-3)}
