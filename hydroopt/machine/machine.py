@@ -426,17 +426,6 @@ class Machine(Drawn, MachineDescription):
         """What names it on a command line: a bundled machine or a path, and ``MACHINE`` if it was made in memory."""
         return "MACHINE"
 
-    def standing_for(self, other: Machine) -> Machine:
-        """Itself, with the `source` of the machine for which it stands in a job, so that commands name that one.
-
-        >>> from hydroopt.machine.machine_file import load_machine
-        >>> machine = load_machine("cat215b")
-        >>> machine.with_values({"boom.a": 5.2}).standing_for(machine).source
-        'cat215b'
-        """
-        self.__dict__["source"] = other.source
-        return self
-
     @property
     def sha256(self) -> str:
         """Digest of the description, the same however its file is laid out."""

@@ -34,6 +34,7 @@ from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.logs.any_log import in_memory
 from hydroopt.machine.flat_loops import closed_flat
+from hydroopt.machine.standing import standing_for
 from hydroopt.model.model import Model
 
 
@@ -72,7 +73,7 @@ def _about(problem: CombinedProblem, beside: Sequence[NumbersBeside], kinematics
     theta = dict(zip(kinematics.problem.parameters.names, kinematics.theta.tolist(), strict=True))
     theta |= dict(zip(beside[0].names, beside[0].value.tolist(), strict=True))
     geometry = {name: theta[name] for name in chain.parameters.names}
-    calibrated = machine.with_values(closed_flat(machine, geometry)).standing_for(machine)
+    calibrated = standing_for(machine.with_values(closed_flat(machine, geometry)), machine)
     model = Model(calibrated, actuator_inertia=nominal.model.actuator_inertia, calibrator=nominal.model.calibrator,
                   terms=nominal.model.terms)
     train, held_out = ([prepared(data.log, model, problem.smoothing) for data in some]

@@ -18,6 +18,7 @@ from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.standing import standing_for
 from hydroopt.spatial.inertia import Array
 
 FOLDS = 4
@@ -40,7 +41,7 @@ def with_compliance(machine: Machine, sigmas: Mapping[str, float]) -> Machine:
         else:
             link["joint"]["compliance"] = units[name].joint.compliance or 0.0
             notes[path] = notes.get(path, Note()).model_copy(update={"sigma": sigmas[name], "relative": False})
-    return Machine.model_validate(data | {"notes": notes}).standing_for(machine)
+    return standing_for(Machine.model_validate(data | {"notes": notes}), machine)
 
 
 def choose_compliance(machine: Machine, poses: Poses) -> ComplianceChoice:
