@@ -187,7 +187,6 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     m, entry = len(axes.names), ENTRY * loops.growth
     free = max(_growth(plant.poles, loops.period) for plant in plants)
     gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
-
     ceiling = np.full(m, np.inf)
 
     def robust(k: int, position: float, part: float, filter_time: float) -> bool:
@@ -219,7 +218,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     for sweep in range(SWEEPS):
         for k, name in enumerate(axes.names):
             progress(f"tuning {name}", (sweep + k / m) / SWEEPS)
-            loop, others, before = loops.cut(gains, k), np.arange(m) != k, copy.deepcopy(gains)
+            loop, others, before = loops.cut(gains, k), np.arange(m) != k, copy.deepcopy((gains, ceiling))
             best = fastest(k, 0.0 if sweep == SWEEPS - 1 else math.inf)
             while best[0] <= 0 and np.any(gains.position[others] > SLOWEST_LOOP):
                 # faster loops of the others leave none to this one
@@ -228,7 +227,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
                 loop = loops.cut(gains, k)
                 best = fastest(k, 0.0)
             if best[0] <= 0:  # another loop is unstable at a point, whatever this one does
-                gains, ceiling = before, np.full(m, np.inf)
+                gains, ceiling = before
                 loop = loops.cut(gains, k)
                 best = fastest(k, free)
             if best[0] <= 0:

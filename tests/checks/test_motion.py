@@ -51,7 +51,7 @@ def test_own_parts_that_only_a_reserve_watches_are_checked() -> None:
 
 
 def test_degrees_that_are_taken_for_radians_are_named() -> None:
-    """What breaks first is no limit then, and what to correct is said once."""
+    """The first thing that is wrong is the unit, not a limit, and its correction is stated once."""
     degrees = swept(np.linspace(-30, -20, 101), np.linspace(60, 80, 101), 20.0)
     found = check_motion(CAT, degrees)
     assert found.diagnostics[0].subject == ("boom.q", "stick.q")

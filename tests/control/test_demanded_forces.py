@@ -44,9 +44,10 @@ def test_a_load_that_drags_its_cylinder_begins_without_a_cavity() -> None:
     still = np.zeros((len(t), 3))
     made, plant = demands(t, POSTURE + still, still, still)
     length = np.tile(np.asarray(plant.actuator_motion(POSTURE, still[0])[0]).ravel(), (len(t), 1))
-    areas, tank = np.array([each.areas for each in plant.actuators]), plant.supply[1]
+    tank = plant.supply[1]
     force, speed = np.tile([0.0, 1e5, -2e5], (len(t), 1)), np.tile([0.0, 0.0, 1e-4], (len(t), 1))
     assert float(np.asarray(made.valves.steady(speed[0], force[0], plant.supply)).ravel()[2]) < 0
     p_a, p_b = made._pressures(t, length, speed, force, 0 * force)
     assert p_a[0, 2] == tank
-    assert np.all(p_b[:, 2] * areas[2, 1] == pytest.approx(p_a[:, 2] * areas[2, 0] + 2e5))
+    assert np.min(p_a[:, 2]) > 0  # no cavity opens later either
+    assert np.min(p_b[:, 2]) > tank

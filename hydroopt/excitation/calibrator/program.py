@@ -34,16 +34,19 @@ FAINT = 1e-6
 """Information of every parameter in units of its scale: keeps the covariance finite."""
 ASIDE, ROOM = float(np.radians(3.0)), 0.01
 """How far poses keep away from limits of joints [rad, m], and from all others (parts of a stroke, heights [m], the
-dexterity), while sizes are found: the best poses lie at limits, and would be lost once sizes are rounded."""
+dexterity, turns [rad]), while sizes are found: the best poses lie at limits, and would be lost once sizes are
+rounded."""
 STROKE = 0.1
 """Part of each stroke by which poses stay away from its ends."""
 DEXTERITY = 0.1
 """Least determinant of J·Jᵀ over the cube of its mean eigenvalue, J (3, r) the motion of the ball by the calibrator's
 joints: 1 where it moves alike in all directions, 0 in a singular pose."""
-
 TURN, CERTAINTY = 0.2, 3.0
 """How far joints of the calibrator may turn, at most [rad], to reach the ball where the machine is so many standard
 deviations off: a calibrator that is nearly stretched would not reach it."""
+
+TINY = 1e-12
+"""Variance [rad²] that keeps these turns differentiable where nothing is uncertain."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class JointProgram:
 
     @cached_property
     def bounded(self) -> ca.Function:
-        """(theta, q) -> gap (k,) that must vanish, strokes, heights and dexterity that must not be negative."""
+        """(theta, q) -> gap (k,) that must vanish, strokes, heights, dexterity and turns that must not be negative."""
         calibration, model = self.calibration, self.problem.model
         theta, q = ca.SX.sym("theta", len(calibration.parameters)), ca.SX.sym("q", len(model.joints))
         layout = calibration.layout
@@ -130,7 +133,7 @@ class JointProgram:
         rest.append(dexterity(motion) - DEXTERITY)
         moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.uncertain))
         turned = motion.T @ ca.solve(motion @ motion.T, moved)
-        rest.append(TURN - CERTAINTY * ca.sqrt(ca.sum2(turned**2) + 1e-12))
+        rest.append(TURN - CERTAINTY * ca.sqrt(ca.sum2(turned**2) + TINY))
         return ca.Function("bounded", [theta, q], [gap[closes], ca.vertcat(*rest)], ["theta", "q"], ["gap", "rest"])
 
     def criterion(self, theta: Any, q: Sequence[Any], share: Sequence[Any]) -> Any:
