@@ -36,6 +36,8 @@ SLOWEST_LOOP = 0.1
 STEP = 0.15
 YIELD = 1.5
 """By which the position gains of all other loops are divided as long as an axis finds none."""
+SLACKS = (1.05, 1.1, 1.2)
+"""By which both sensitivities may exceed their limits, in turn, where an axis finds no gains even so."""
 ENTRY = 10.0
 """Position gains up to which a loop may be less robust than with a higher one, in parts of the plant's fastest growth:
 where a load lightens along the motion, errors of the position grow unless the gain is higher than that growth."""
@@ -63,6 +65,11 @@ class _Loops:
         """
         return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
                    (plant.poles for plant in self.plants))
+
+    @cached_property
+    def free_growth(self) -> float:
+        """Of all errors that grow without feedback, oscillating ones as well [1/s]."""
+        return max(_growth(plant.poles, self.period) for plant in self.plants)
 
     def grows_slower(self, gains: Gains, growth: float) -> bool:
         """Whether errors grow at no point faster than this [1/s] with all loops closed; zero asks that they die away.
@@ -119,12 +126,12 @@ class _Loop(NamedTuple):
     force: Array
     scale: Array
 
-    def robust(self, by_position: Array, by_force: Array, largest: float) -> bool:
+    def robust(self, by_position: Array, by_force: Array, largest: float, complementary: float) -> bool:
         """Whether both sensitivities stay below their limits, for the responses (ω,) and (ω, g) of the feedback.
 
-        At all points and frequencies |1/(1 + L)| is at most `largest`, and |L/(1 + L)| at most
-        `COMPLEMENTARY_SENSITIVITY`. Of several commands they are the largest singular values of (1 + L)⁻¹ and
-        L·(1 + L)⁻¹: how robust the loop is where all of them change at once, and each by itself.
+        At all points and frequencies |1/(1 + L)| is at most `largest`, and |L/(1 + L)| at most `complementary`. Of
+        several commands they are the largest singular values of (1 + L)⁻¹ and L·(1 + L)⁻¹: how robust the loop is where
+        all of them change at once, and each by itself.
         """
         loop = self.supply + self.scale * (self.share * by_position[:, None, None] * self.position
                                            + by_force[:, :, None] * self.force)
@@ -132,7 +139,7 @@ class _Loop(NamedTuple):
         if 1 / np.min(_singular_values(returned)[0]) > largest:
             return False
         complement = loop / returned if len(self.scale) == 1 else loop @ np.linalg.inv(returned)
-        return bool(np.max(_singular_values(complement)[1]) <= COMPLEMENTARY_SENSITIVITY)
+        return bool(np.max(_singular_values(complement)[1]) <= complementary)
 
 
 def _growth(poles: Array, period: float) -> float:
@@ -159,6 +166,76 @@ def _singular_values(matrix: Array) -> tuple[Array, Array]:
             return values[..., -1], values[..., 0]
 
 
+class _Tuner:
+    """Gains of all axes, which are tuned one after the other.
+
+    Attributes:
+        gains: as they are.
+        ceiling: above which no position gain may be (m,), since another axis found none beside faster loops.
+    """
+
+    def __init__(self, loops: _Loops, largest: float) -> None:
+        self.loops, self.largest, m = loops, largest, len(loops.axes.names)
+        self.speed_per_force = np.where(loops.axes.measured, loops.valves.speed_per_force, 0.0)
+        self.gains = Gains(np.zeros(m), np.zeros(len(self.speed_per_force)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP),
+                           np.zeros(m))
+        self.ceiling = np.full(m, np.inf)
+
+    def tune(self, k: int, growth: float) -> bool:
+        """Give an axis the fastest gains with which errors grow no faster than this [1/s]; whether there are any.
+
+        What is given up in turn, where there are none: speed of the other loops, a part of the robustness, and at last
+        that all errors die away, where another loop is unstable at a point, whatever this one does.
+        """
+        return (self._fastest(k, growth) or self._beside_slower(k)
+                or any(self._fastest(k, 0.0, slack) or self._beside_slower(k, slack) for slack in SLACKS)
+                or self._fastest(k, self.loops.free_growth))
+
+    def _beside_slower(self, k: int, slack: float = 1.0) -> bool:
+        """The same beside loops that yield; where that does not help, they are as they were."""
+        others, before = np.arange(len(self.gains.position)) != k, copy.deepcopy((self.gains, self.ceiling))
+        while np.any(self.gains.position[others] > SLOWEST_LOOP):
+            self.gains.position[others] = self.ceiling[others] = np.maximum(self.gains.position[others] / YIELD,
+                                                                            SLOWEST_LOOP)
+            self.gains.integral_time[others] = INTEGRAL_RATIO / self.gains.position[others]
+            if self._fastest(k, 0.0, slack):
+                return True
+        self.gains, self.ceiling = before
+        return False
+
+    def _fastest(self, k: int, growth: float, slack: float = 1.0) -> bool:
+        """The same beside loops as they are, with sensitivities up to `slack` times their limits."""
+        loops, gains, own = self.loops, self.gains, list(self.loops.axes.actuators[k])
+        loop, entry = loops.cut(gains, k), ENTRY * loops.growth
+
+        def robust(position: float, part: float, filter_time: float) -> bool:
+            gains.position[k], gains.force[own] = position, part * self.speed_per_force[own]
+            gains.filter_time[k] = filter_time
+            gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
+            return loop.robust(*loops.of_axis(gains, k), slack * self.largest, slack * COMPLEMENTARY_SENSITIVITY)
+
+        best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(self.speed_per_force[own]) else FORCE_GAINS[:1]
+        for filter_time in FILTER_TIMES:
+            for part in parts:
+                # upwards step by step, since the sensitivity may be low again beyond instability
+                if not robust(0.0, part, filter_time):
+                    break
+                position, passed = SLOWEST_LOOP, list[float]()
+                while position <= self.ceiling[k] and ((one := robust(position, part, filter_time))
+                                                       or position < entry):
+                    passed += [position] if one else []
+                    position *= 1 + STEP
+                for position in reversed(passed):
+                    if (position, part, filter_time) <= best:
+                        break
+                    if math.isinf(growth) or (robust(position, part, filter_time)
+                                              and loops.grows_slower(gains, growth)):
+                        best = (position, part, filter_time)
+                        break
+        robust(*best)
+        return best[0] > 0
+
+
 def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves,
           largest: float = SENSITIVITY, progress: Progress = silent) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivities stay below their limits.
@@ -169,8 +246,9 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     a phase margin of at least 2·arcsin(1/(2·M)). The complementary sensitivity, at most `COMPLEMENTARY_SENSITIVITY`,
     sets the second one too: 45 degrees, however large M is. Where a load lightens along the motion, an open valve lets
     errors of the position grow: such a loop is stable with high gains only, so that low ones may be less robust
-    (`ENTRY`). Where the loops of the other axes are so fast that an axis finds no gains, they yield (`YIELD`). Where
-    errors grow at a point whatever the gains, they grow no faster than without feedback.
+    (`ENTRY`). Where an axis finds no gains, the loops of the others get slower (`YIELD`); where that does not help,
+    sensitivities exceed their limits a little (`SLACKS`). Where errors grow at a point whatever the gains, they grow no
+    faster than without feedback.
 
     Args:
         plants: sampled, with delays, at each point.
@@ -182,56 +260,12 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
     Raises:
         ProblemError: an axis has no gains that are robust enough.
     """
-    loops = _Loops(plants, points, valves)
-    axes, full = loops.axes, np.where(loops.axes.measured, valves.speed_per_force, 0.0)
-    m, entry = len(axes.names), ENTRY * loops.growth
-    free = max(_growth(plant.poles, loops.period) for plant in plants)
-    gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
-    ceiling = np.full(m, np.inf)
-
-    def robust(k: int, position: float, part: float, filter_time: float) -> bool:
-        own = list(axes.actuators[k])
-        gains.position[k], gains.force[own], gains.filter_time[k] = position, part * full[own], filter_time
-        gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
-        return loop.robust(*loops.of_axis(gains, k), largest)
-
-    def fastest(k: int, growth: float) -> tuple[float, float, float]:
-        best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
-        for filter_time in FILTER_TIMES:
-            for part in parts:
-                # upwards step by step, since the sensitivity may be low again beyond instability
-                if not robust(k, 0.0, part, filter_time):
-                    break
-                position, passed = SLOWEST_LOOP, list[float]()
-                while position <= ceiling[k] and ((one := robust(k, position, part, filter_time)) or position < entry):
-                    passed += [position] if one else []
-                    position *= 1 + STEP
-                for position in reversed(passed):
-                    if (position, part, filter_time) <= best:
-                        break
-                    if math.isinf(growth) or (robust(k, position, part, filter_time)
-                                              and loops.grows_slower(gains, growth)):
-                        best = (position, part, filter_time)
-                        break
-        return best
-
+    tuner = _Tuner(_Loops(plants, points, valves), largest)
+    names = tuner.loops.axes.names
     for sweep in range(SWEEPS):
-        for k, name in enumerate(axes.names):
-            progress(f"tuning {name}", (sweep + k / m) / SWEEPS)
-            loop, others, before = loops.cut(gains, k), np.arange(m) != k, copy.deepcopy((gains, ceiling))
-            best = fastest(k, 0.0 if sweep == SWEEPS - 1 else math.inf)
-            while best[0] <= 0 and np.any(gains.position[others] > SLOWEST_LOOP):
-                # faster loops of the others leave none to this one
-                gains.position[others] = ceiling[others] = np.maximum(gains.position[others] / YIELD, SLOWEST_LOOP)
-                gains.integral_time[others] = INTEGRAL_RATIO / gains.position[others]
-                loop = loops.cut(gains, k)
-                best = fastest(k, 0.0)
-            if best[0] <= 0:  # another loop is unstable at a point, whatever this one does
-                gains, ceiling = before
-                loop = loops.cut(gains, k)
-                best = fastest(k, free)
-            if best[0] <= 0:
+        for k, name in enumerate(names):
+            progress(f"tuning {name}", (sweep + k / len(names)) / SWEEPS)
+            if not tuner.tune(k, 0.0 if sweep == SWEEPS - 1 else math.inf):
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
                                    where="control", remedy="raise --rate, or allow a higher --sensitivity")
-            robust(k, *best)
-    return gains
+    return tuner.gains

@@ -11,6 +11,7 @@ from hydroopt import Model, Plant, load_machine
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import linear_feedback
 from hydroopt.control.linear_system import LinearSystem, closed_loop
+from hydroopt.control.loop_margins import margins
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_inversion import Valves
@@ -62,3 +63,18 @@ def test_fast_loops_yield_to_one_that_finds_no_gains_beside_them() -> None:
     assert np.all(gains.position > 1.0)
     for plant, each in zip(plants, points, strict=True):
         assert growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each))) < 0
+
+
+def test_robustness_yields_a_little_where_slower_loops_do_not_help() -> None:
+    valves, points, plants = manipulator({"light": ([1.35, -0.445, 0.212], [0.27, 0.247, -0.217]),
+                                          "slow": ([1.309, -1.6, 0.164], [-0.035, -0.044, -0.03]),
+                                          "low": ([0.848, -0.785, 0.089], [0.035, -0.044, -0.03])})
+    gains = tuned(plants, points, valves)
+    names = [each.actuator.name for each in valves.plant.actuators]
+    assert np.all(gains.position > 1.0)
+    for plant, each in zip(plants, points, strict=True):
+        feedback = linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each)
+        assert growth(closed_loop(plant, feedback)) < 0
+        for margin in margins(plant, feedback, names, each.name)[0]:
+            assert margin.gain > 10 ** (6 / 20)
+            assert np.degrees(margin.phase) > 36
