@@ -220,6 +220,8 @@ class _Tuner:
                 # upwards step by step, since the sensitivity may be low again beyond instability
                 if not robust(0.0, part, filter_time):
                     break
+                if best[0] >= max(entry, SLOWEST_LOOP) and not robust(best[0], part, filter_time):
+                    continue  # it would not come as far
                 position, passed = SLOWEST_LOOP, list[float]()
                 while position <= self.ceiling[k] and ((one := robust(position, part, filter_time))
                                                        or position < entry):
