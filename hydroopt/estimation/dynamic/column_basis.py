@@ -42,11 +42,10 @@ class ColumnBasis:
         """Those of [K, f], where f comes last."""
         return np.append(self.own, -1)
 
-    def rows(self, K: Array, force: Array, actuator: int, more: NDArray[np.intp] | None = None) -> Array:
-        """Kept columns of K (N, n, p), those of `more`, and forces (N, n) of an actuator, as rows (k+m+1, N)."""
-        columns = self.kept if more is None else np.concatenate([self.kept, more])
-        made = np.empty((len(columns) + 1, len(force)))
-        for row, column in zip(made, columns.tolist(), strict=False):
+    def rows(self, K: Array, force: Array, actuator: int) -> Array:
+        """Kept columns of K (N, n, p) and forces (N, n) of an actuator, as rows (k+1, N)."""
+        made = np.empty((len(self.kept) + 1, len(force)))
+        for row, column in zip(made, self.kept.tolist(), strict=False):
             row[:] = K[:, actuator, column]
         made[-1] = force[:, actuator]
         return made

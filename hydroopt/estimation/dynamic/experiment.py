@@ -225,8 +225,7 @@ class Experiment:
         """
         if rows is None:
             (K, *_), force = self.equations(psi, block)
-            rows = [basis.rows(K, force, i, extra)
-                    for i, (basis, extra) in enumerate(zip(bands.bases, bands.contrast, strict=True))]
+            rows = [basis.rows(K, force, i) for i, basis in enumerate(bands.bases)]
         t = self.motion.t[block]
         step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
         if bands.noisy.size:

@@ -20,20 +20,27 @@ BLOCK = 2**13
 LOWEST, RATIO, BANDS = 0.02, 1.6, 24
 """Upper end of the lowest band over `RATIO` [Hz], ratio of neighbouring ends, and number of bands: up to 1 kHz."""
 
+Folded = list[list[Array]]
+"""Rows by actuator and band."""
+
 
 class ActuatorBands:
-    """Rows [K_i, C_i, f_i] of each actuator, K_i in the columns that its basis keeps, one block of samples after the
-    other, by the frequencies of a cosine transform (DCT-II), which is orthonormal: sums of squares over all bands are
-    those over all samples.
+    """Rows [K_i, C_i, f_i] of each actuator, one block of samples after the other, by the frequencies of a cosine
+    transform (DCT-II), which is orthonormal: sums of squares over all bands are those over all samples.
 
     C_i are the columns of the actuator's friction and offset, with the opposite sign in the first half of a log: how
-    much they differ between the halves. Rows that do not take part are zero before the transform, and a coefficient
-    counts by the share of samples that do.
+    much they differ between the halves. They follow from K_i, and are folded only of a block with samples of both
+    halves. Rows that do not take part are zero before the transform, and a coefficient counts by the share of samples
+    that do.
 
     Attributes:
-        bases, contrast: for each actuator the columns of K_i, and those that C_i repeats.
+        bases, contrast: for each actuator the columns of K_i, of which those that its basis keeps are folded, and those
+            that C_i repeats.
+        earlier, later: rows [K_i, f_i] by actuator and band, of blocks in the first and in the second half of a log.
+        across: rows [K_i, C_i, f_i] of blocks in both.
         counts: (n, B) residuals of each actuator in each band.
-        samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
+        parameters: their number p.
+        samples, forces: (n,) number of the rows [K_i, f_i], and sums of f_i over time.
         holds: equations of joints at rest, which these rows do not contain.
         noise: (f, p, p) expected part of K_iᵀK_i that is noise of K_i, of the actuators `noisy` (f,).
     """
@@ -44,23 +51,19 @@ class ActuatorBands:
         varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in parameters.kinds])
         self.bases = bases
         self.contrast = [basis.own[varying[basis.own]] for basis in bases]
-        self.rows = [[np.zeros((0, len(basis.kept) + len(extra) + 1)) for _ in range(BANDS)]
-                     for basis, extra in zip(bases, self.contrast, strict=True)]
+        kept = [len(basis.kept) + 1 for basis in bases]
+        self.earlier, self.later = _empty(kept), _empty(kept)
+        self.across = _empty([k + len(extra) for k, extra in zip(kept, self.contrast, strict=True)])
         self.counts = np.zeros((n, BANDS))
-        self.samples = np.zeros(n)
-        self.sums = np.zeros((n, p + 1))
+        self.parameters, self.samples, self.forces = p, np.zeros(n), np.zeros(n)
         self.holds = Holds([basis.own for basis in bases])
         self.noisy, self.noise = np.array(noisy, dtype=np.intp), np.zeros((len(noisy), p, p))
-
-    def columns(self, actuator: int) -> NDArray[np.intp]:
-        """Those of K_i in the rows [K_i, C_i, f_i] of an actuator."""
-        return np.concatenate([self.bases[actuator].kept, self.contrast[actuator]])
 
     def fold(self, rows: Sequence[Array], taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
         """Add a block of samples in a row.
 
         Args:
-            rows: (k_i + m_i + 1, N) of each actuator: its `columns` of K, and forces; they are written over.
+            rows: (k_i + 1, N) of each actuator: the kept columns of K, and forces; they are written over.
             taken: (N, n) which of them take part.
             later: (N,) which samples are in the second half of their log.
             step: [s] between samples.
@@ -69,44 +72,38 @@ class ActuatorBands:
         frequency = (np.arange(count) + 0.5) / (2 * count * step)
         band = np.clip(np.floor(np.log(frequency / LOWEST) / np.log(RATIO)), 0, BANDS - 1)
         edges = np.searchsorted(band, np.arange(BANDS + 1))
-        sign = np.where(later, 1.0, -1.0)
-        for i, (basis, block) in enumerate(zip(self.bases, rows, strict=True)):
+        folded = self.later if np.all(later) else self.across if np.any(later) else self.earlier
+        for i, block in enumerate(rows):
             here = taken[:, i]
             if not np.any(here):
                 continue
             block[:, np.flatnonzero(~here)] = 0.0
-            k = len(basis.kept)
-            self.sums[i, basis.columns] += block.sum(axis=1)[np.r_[:k, -1]] @ basis.expander
+            self.forces[i] += np.sum(block[-1])
             self.samples[i] += np.sum(here)
-            turned = self._turned(block, i, sign).T
             self.counts[i] += np.diff(edges) * np.mean(here)
+            contrast = np.where(later, 1.0, -1.0) * (self._repeated(i).T @ block[:-1]) if folded is self.across else ()
+            turned = cosine_transform(np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block).T
             for b in range(BANDS):
                 if edges[b] < edges[b + 1]:
-                    self.rows[i][b] = folded_rows(self.rows[i][b], turned[edges[b] : edges[b + 1]])
+                    folded[i][b] = folded_rows(folded[i][b], turned[edges[b] : edges[b + 1]])
 
-    def _turned(self, block: Array, actuator: int, sign: Array) -> Array:
-        """The transform of an actuator's rows, whose C_i have one `sign` (N,) in each sample."""
-        k = len(self.bases[actuator].kept)
-        place = {column: row for row, column in enumerate(self.bases[actuator].kept.tolist())}
-        repeated = [place[column] for column in self.contrast[actuator].tolist() if column in place]
-        if len(repeated) < len(self.contrast[actuator]) or np.ptp(sign):
-            block[k:-1] *= sign
-            return cosine_transform(block)
-        # in one half of the log C_i are columns of K_i, or their opposites: their place is free for the forces
-        block[k] = block[-1]
-        cosine_transform(block[: k + 1])
-        block[-1] = block[k]
-        np.multiply(sign[0], block[repeated], out=block[k:-1])
-        return block
+    def _repeated(self, actuator: int) -> Array:
+        """(k, m) what makes the columns that C repeats of the kept ones."""
+        basis = self.bases[actuator]
+        return basis.mixing[:, np.isin(basis.own, self.contrast[actuator])]
+
+    @property
+    def _folded(self) -> tuple[Folded, Folded, Folded]:
+        return self.earlier, self.later, self.across
 
     def add(self, other: ActuatorBands, step: float = 0.0) -> None:
         """Add what another has folded: of another log, or of a later piece of the same one, sampled each `step` [s]."""
-        for mine, others in zip(self.rows, other.rows, strict=True):
-            for b, block in enumerate(others):
-                mine[b] = folded_rows(mine[b], block)
+        for mine, others in zip(self._folded, other._folded, strict=True):
+            for own, blocks in zip(mine, others, strict=True):
+                own[:] = map(folded_rows, own, blocks)
         self.counts += other.counts
         self.samples += other.samples
-        self.sums += other.sums
+        self.forces += other.forces
         self.holds.add(other.holds, step)
         self.noise += other.noise
 
@@ -117,11 +114,12 @@ class ActuatorBands:
     def only(self, actuators: NDArray[np.bool_]) -> ActuatorBands:
         """Nothing but the rows of some actuators (n,), and all holds."""
         part = object.__new__(ActuatorBands)
-        part.bases, part.contrast = self.bases, self.contrast
-        part.rows = [[block if here else block[:0] for block in blocks]
-                     for blocks, here in zip(self.rows, actuators, strict=True)]
+        part.bases, part.contrast, part.parameters = self.bases, self.contrast, self.parameters
+        part.earlier, part.later, part.across = (
+            [[block if here else block[:0] for block in blocks] for blocks, here in zip(some, actuators, strict=True)]
+            for some in self._folded)
         part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
-        part.sums, part.holds = self.sums * actuators[:, None], self.holds.copy()
+        part.forces, part.holds = self.forces * actuators, self.holds.copy()
         part.noisy, part.noise = self.noisy, self.noise * actuators[self.noisy, None, None]
         return part
 
@@ -130,9 +128,9 @@ class ActuatorBands:
         return tuple(self._channels(contrasts))
 
     def _channels(self, contrasts: bool) -> Iterator[Channel]:
-        first = self.sums.shape[1] - 1
+        first = self.parameters
         whole = self.expanded()
-        for basis, contrast, blocks, counts in zip(whole.bases, self.contrast, whole.rows, self.counts, strict=True):
+        for basis, contrast, blocks, counts in zip(whole.bases, self.contrast, whole.across, self.counts, strict=True):
             extra = np.arange(first, first + len(contrast)) if contrasts else np.zeros(0, dtype=np.intp)
             first += len(extra)
             c = len(basis.own)
@@ -140,21 +138,36 @@ class ActuatorBands:
             yield Channel(np.concatenate([basis.own, extra]), tuple(block[:, kept] for block in blocks), counts)
 
     def expanded(self) -> ActuatorBands:
-        """The same in all columns of the actuators, with at most as many rows as columns."""
-        if all(basis.kept is basis.own and all(len(block) <= block.shape[1] for block in blocks)
-               for basis, blocks in zip(self.bases, self.rows, strict=True)):
+        """The same in all columns of the actuators, [K_i, C_i, f_i] `across` the halves, with at most as many rows as
+        columns."""
+        if all(basis.kept is basis.own and not any(map(len, (*first, *second)))
+               and all(len(block) <= block.shape[1] for block in blocks)
+               for basis, first, second, blocks in zip(self.bases, *self._folded, strict=True)):
             return self
         made = self.copy()
         made.bases = [ColumnBasis.whole(basis.own) for basis in self.bases]
-        made.rows = [[np.hstack([block[:, : len(basis.kept)] @ basis.mixing, block[:, len(basis.kept) :]])
-                      for block in map(compact, blocks)]
-                     for basis, blocks in zip(self.bases, self.rows, strict=True)]
+        made.earlier, made.later = (_empty([len(basis.columns) for basis in self.bases]) for _ in range(2))
+        made.across = [[compact(np.vstack([self._spread(i, compact(block), sign)
+                                           for block, sign in zip(blocks, (-1.0, 1.0, 0.0), strict=True)]))
+                        for blocks in zip(*own, strict=True)]
+                       for i, own in enumerate(zip(*self._folded, strict=True))]
         return made
+
+    def _spread(self, actuator: int, rows: Array, sign: float) -> Array:
+        """Rows [K, C, f] in all columns, of those in the kept ones; where C has one sign, of [K, f] there."""
+        k = len(self.bases[actuator].kept)
+        contrast = sign * (rows[:, :k] @ self._repeated(actuator)) if sign else rows[:, k:-1]
+        return np.hstack([rows[:, :k] @ self.bases[actuator].mixing, contrast, rows[:, -1:]])
 
     @property
     def triangles(self) -> ActuatorTriangles:
         """The same rows whatever their frequency, without C_i."""
         whole = self.expanded()
         rows = [np.vstack([np.delete(block, np.s_[len(basis.own) : -1], axis=1) for block in blocks])
-                for basis, blocks in zip(whole.bases, whole.rows, strict=True)]
-        return ActuatorTriangles.of_rows(whole.bases, rows, self.samples, self.sums)
+                for basis, blocks in zip(whole.bases, whole.across, strict=True)]
+        return ActuatorTriangles.of_rows(whole.bases, self.parameters, rows, self.samples, self.forces)
+
+
+def _empty(columns: Sequence[int]) -> Folded:
+    """No rows, of so many columns by actuator."""
+    return [[np.zeros((0, k)) for _ in range(BANDS)] for k in columns]

@@ -146,8 +146,7 @@ class StreamedExperiment:
     @cached_property
     def _rows(self) -> KeptRows:
         """Computes the rows that are folded."""
-        bands = ActuatorBands(self.model.parameters, self._bases)
-        return KeptRows(self.model, [bands.columns(i) for i in range(len(self._bases))])
+        return KeptRows(self.model, [basis.kept for basis in self._bases])
 
     @property
     def moves(self) -> np.ndarray:
@@ -200,7 +199,7 @@ class StreamedExperiment:
         """Sums (4, n) over the samples that take part: 1, force, force² and error² of the prediction by ψ."""
         v, last = np.append(psi, -1.0), np.append(0.0 * psi, -1.0)
         both = (self.totals.known.triangles, self.totals.others)
-        return np.array([sum(some.samples for some in both), sum(some.sums[:, -1] for some in both),
+        return np.array([sum(some.samples for some in both), sum(some.forces for some in both),
                          sum(some.squares(last) for some in both), sum(some.squares(v) for some in both)])
 
     def loaded(self, purpose: str) -> Experiment:
@@ -270,10 +269,9 @@ class StreamedExperiment:
             memory = memory if memory is not None and len(memory[0]) == block.stop - block.start else None
             rows, memory = self._rows(data.inputs(block), data.force[block], memory)
             others = data.inside[block, None] & ~data.known[block] & np.isfinite(data.force[block])
-            for i, (some, basis) in enumerate(zip(rows, self._bases, strict=True)):
+            for i, some in enumerate(rows):
                 if (places := np.flatnonzero(others[:, i])).size:
-                    kept = some[: len(basis.kept)].take(places, axis=1)
-                    totals.others.fold_rows(i, np.vstack([kept, some[-1].take(places)]))
+                    totals.others.fold_rows(i, some.T, places)
             data.fold_block(totals.known, block, float(np.mean(self.stream.rows)), rows=rows)
         return totals
 

@@ -108,9 +108,9 @@ def test_workers_change_no_bit(cat215b: Model, totals: StreamedExperiment, worke
     for one, two in ((totals.totals.known.triangles, other.totals.known.triangles),
                      (totals.totals.others, other.totals.others)):
         np.testing.assert_array_equal(one.full, two.full)
-        np.testing.assert_array_equal(one.sums, two.sums)
+        np.testing.assert_array_equal(one.forces, two.forces)
     np.testing.assert_array_equal(totals.bands().counts, other.bands().counts)
-    for one_block, two_block in zip(totals.bands().rows[0], other.bands().rows[0], strict=True):
+    for one_block, two_block in zip(totals.bands().across[0], other.bands().across[0], strict=True):
         np.testing.assert_array_equal(one_block, two_block)
 
 

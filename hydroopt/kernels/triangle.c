@@ -1,0 +1,118 @@
+/* R of a QR of many rows of `width` numbers, a multiple of PANEL: as many rows as the first cache holds at a time are
+   reflected into the triangle of all before, PANEL reflections together (Schreiber and Van Loan 1989). */
+#include <math.h>
+#include <string.h>
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+#if defined(__AVX512F__)
+#define HOLD(x) __asm__("" : "+v"(x))
+#elif defined(__AVX__)
+#define HOLD(x) __asm__("" : "+x"(x))
+#else
+#define HOLD(x)
+#endif
+#define PANEL 4
+#define ROWS 128 /* at a time */
+/* HOLD(x) keeps x in a register: gcc would read it again from memory for each product. */
+typedef double real __attribute__((vector_size(8 * LANES), aligned(64), may_alias));
+typedef double pair __attribute__((vector_size(16)));
+typedef double four __attribute__((vector_size(8 * PANEL), aligned(8), may_alias));
+
+static inline double sum(real a)
+{
+    union { real whole; pair part[LANES / 2]; } u = {a};
+    pair s = u.part[0];
+    for (int k = 1; k < LANES / 2; k++) s += u.part[k];
+    return s[0] + s[1];
+}
+
+/* Reflects `m` vectors of rows of each column, one column ROWS / LANES vectors after the other, into the triangle R,
+   row by row; they are written over. */
+static void reflected(long width, double *R, long m, real *columns)
+{
+    enum { NEXT = ROWS / LANES };
+    for (long j = 0; j < width; j += PANEL) {
+        real *v = columns + j * NEXT;
+        double size[PANEL], product[PANEL][PANEL];
+        for (int p = 0; p < PANEL; p++) {
+            double *row = R + (j + p) * width + j, with[PANEL];
+            real *own = v + p * NEXT, s[PANEL] = {0};
+            for (long i = 0; i < m; i++)
+                for (int q = 0; q < PANEL; q++) s[q] += own[i] * v[q * NEXT + i];
+            for (int q = 0; q < PANEL; q++) with[q] = sum(s[q]);
+            const double below = with[p], head = row[p];
+            const double norm = head > 0 ? -sqrt(head * head + below) : sqrt(head * head + below);
+            const double scale = below != 0 ? 1 / (head - norm) : 0;
+            size[p] = below != 0 ? (norm - head) / norm : 0;
+            for (int q = 0; q < p; q++) product[q][p] = scale * with[q];
+            double w[PANEL] = {0};
+            for (int q = p + 1; q < PANEL; q++) w[q] = size[p] * (row[q] + scale * with[q]), row[q] -= w[q];
+            if (below != 0) row[p] = norm;
+            for (long i = 0; i < m; i++) {
+                own[i] *= scale;
+                for (int q = p + 1; q < PANEL; q++) v[q * NEXT + i] -= w[q] * own[i];
+            }
+        }
+        for (long l = j + PANEL; l < width; l += PANEL) {
+            real *a = columns + l * NEXT, s[PANEL][PANEL] = {0};
+            four y[PANEL];
+            for (long i = 0; i < m; i++) {
+                real b[PANEL];
+                for (int c = 0; c < PANEL; c++) {
+                    b[c] = a[c * NEXT + i];
+                    HOLD(b[c]);
+                }
+                for (int p = 0; p < PANEL; p++) {
+                    real w = v[p * NEXT + i];
+                    HOLD(w);
+                    for (int c = 0; c < PANEL; c++) s[p][c] += w * b[c];
+                }
+            }
+            for (int p = 0; p < PANEL; p++) {
+                four *at = (four *)(R + (j + p) * width + l);
+                y[p] = *at;
+                for (int c = 0; c < PANEL; c++) y[p][c] += sum(s[p][c]);
+                for (int q = 0; q < p; q++) y[p] -= product[q][p] * y[q];
+                y[p] *= size[p], *at -= y[p];
+            }
+            for (long i = 0; i < m; i++) {
+                real left[PANEL];
+                for (int c = 0; c < PANEL; c++) left[c] = a[c * NEXT + i];
+                for (int p = 0; p < PANEL; p++) {
+                    real w = v[p * NEXT + i];
+                    HOLD(w);
+                    for (int c = 0; c < PANEL; c++) left[c] -= y[p][c] * w;
+                }
+                for (int c = 0; c < PANEL; c++) a[c * NEXT + i] = left[c];
+            }
+        }
+    }
+}
+
+/* Rows of `given` numbers, `across` from one to the next: those at `places`, or where there are none the first, `down`
+   numbers from one to the next. `work`, on a multiple of 64 bytes, has room for `width` times ROWS numbers. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
+void triangle(long width, double *R, long rows, const long *places, long given, const double *x, long down,
+              long across, double *work)
+{
+    memset(work, 0, sizeof(double) * width * ROWS);
+    for (long at = 0; at < rows; at += ROWS) {
+        const long some = rows - at < ROWS ? rows - at : ROWS, m = (some + LANES - 1) / LANES;
+        for (long c = 0; c < given; c++) {
+            const double *from = x + c * across;
+            double *to = work + c * ROWS;
+            if (places) for (long i = 0; i < some; i++) to[i] = from[places[at + i] * down];
+            else if (down == 1) memcpy(to, from + at, sizeof(double) * some);
+            else for (long i = 0; i < some; i++) to[i] = from[(at + i) * down];
+            for (long i = some; i < m * LANES; i++) to[i] = 0;
+        }
+        reflected(width, R, m, (real *)work);
+    }
+}

@@ -1,0 +1,71 @@
+"""The triangle of many rows against NumPy's."""
+
+import numpy as np
+import pytest
+
+from hydroopt.kernels import triangle
+from hydroopt.kernels.compiler import compiler
+
+WITHOUT = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+
+@pytest.fixture(params=[pytest.param(True, marks=WITHOUT), False])
+def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not request.param:
+        monkeypatch.setattr(triangle, "_compiled", lambda: None)
+    else:
+        assert triangle._compiled() is not None
+
+
+def signed(R: np.ndarray) -> np.ndarray:
+    return R * np.where(np.diag(R) < 0, -1.0, 1.0)[:, None]
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("columns", [1, 4, 7, 48])
+@pytest.mark.parametrize("rows", [1, 3, 50, 129, 1000])
+def test_triangles_are_those_of_numpy_in_any_layout(rows: int, columns: int) -> None:
+    rng = np.random.default_rng(rows + columns)
+    one = rng.standard_normal((20, columns))
+    room = rng.standard_normal((columns, 2 * rows + 3)) * 10.0 ** rng.uniform(-3, 3, (columns, 1))
+    for more in (room[:, 1 : rows + 1].T, room.T[:rows], np.ascontiguousarray(room.T[:rows]), room[:, :: -2].T[:rows]):
+        R = triangle.triangle_of(one, more)
+        stacked = np.vstack([one, more])
+        assert np.all(np.tril(R, -1) == 0)
+        size = np.linalg.norm(stacked, axis=0)
+        np.testing.assert_allclose(R.T @ R / np.outer(size, size), stacked.T @ stacked / np.outer(size, size), rtol=0,
+                                   atol=1e-14)
+        if len(stacked) >= columns:
+            wanted = signed(np.linalg.qr(stacked / size, mode="r"))
+            np.testing.assert_allclose(signed(R / size), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_small_directions_keep_their_size_beside_large_ones() -> None:
+    # the products of the columns would have lost what is 1e-9 of them
+    rng = np.random.default_rng(1)
+    base = rng.standard_normal((5000, 9))
+    rows = base[:, [0, 1, 2, 3, 4, 5, 6, 7, 0]]
+    rows[:, 8] += 1e-9 * base[:, 8]
+    R = signed(triangle.triangle_of(rows[:2500], rows[2500:]))
+    assert R[8, 8] == pytest.approx(signed(np.linalg.qr(rows, mode="r"))[8, 8], rel=1e-5)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_rows_at_places_and_columns_of_zeros() -> None:
+    rng = np.random.default_rng(2)
+    first, more = rng.standard_normal((3, 6)), rng.standard_normal((300, 6))
+    first[:, [0, 4]] = more[:, [0, 4]] = 0.0
+    places = np.flatnonzero(rng.random(300) < 0.3)
+    R = triangle.triangle_of(first, more.T.copy().T, places=places)
+    wanted = np.vstack([first, more[places]])
+    np.testing.assert_allclose(R.T @ R, wanted.T @ wanted, rtol=0, atol=1e-11)
+    assert np.all(R[:, [0, 4]] == 0)
+    assert np.all(triangle.triangle_of(np.zeros((2, 5)), np.zeros((9, 5))) == 0)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_what_is_no_number_is_not_lost() -> None:
+    rows = np.random.default_rng(3).standard_normal((400, 5))
+    rows[77, 2] = np.nan
+    assert np.any(np.isnan(triangle.triangle_of(rows[:1], rows[1:])))
