@@ -15,9 +15,9 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.given_machine import GivenMachine, machine_of
-from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.model.cylinder_motion import centre_line
 from hydroopt.model.pose_rows.frames import Frames
 from hydroopt.model.pose_rows.measurements import inputs, measurements
 from hydroopt.model.scene_graph import SceneGraph
@@ -228,9 +228,9 @@ class KinematicModel(Shown):
 
     @cached_property
     def gravity_torque(self) -> ca.Function:
-        """(g, q) -> gravity's generalised force (n,) [N·m, N] on the joints, by the nominal masses of all links."""
+        """(g, q) -> gravity's generalised force (n,) [N·m, N] on the joints, by the nominal masses of all bodies."""
         g, q = self._symbols[:2]
-        torque = _gravity_torque(self.machine, self.links, self._poses(q), q)
+        torque = self._gravity(q)
         return ca.Function("gravity_torque", [g, q], [ca.densify(torque)], ["g", "q"], ["torque"])
 
     def tip_in_frame(self, joint: str) -> ca.Function:
@@ -260,8 +260,23 @@ class KinematicModel(Shown):
         value = self.geometry.value
         if not any(f"{link.name}.compliance" in value for link in self.links):
             return q
-        torque = _gravity_torque(self.machine, self.links, self._poses(q), q)
+        torque = self._gravity(q)
         return q + ca.vertcat(*(value.get(f"{name}.compliance", 0.0) for name in self.joints)) * torque
+
+    def _gravity(self, q: ca.SX) -> ca.SX:
+        """Generalised force of gravity (n,) [N·m, N] on the joints: −∂U/∂q, of links, barrels and rods."""
+        machine, poses, named = self.machine, self._poses(q), self._named(q)
+        bodies = [(link.body, poses[link.name]) for link in self.links]
+        for cylinder in machine.cylinders:
+            line, driven = centre_line(self.geometry, cylinder, named), machine.axis_of(cylinder)
+            frame = self._before(poses, driven)
+            bodies += [(end.body, frame @ Pose(line.turn, pin))
+                       for end, pin in zip((cylinder.barrel, cylinder.rod), line.pins, strict=True)]
+        turn, potential = roll_pitch_yaw(machine.orientation), ca.SX(0)
+        for body, pose in bodies:
+            if body is not None and body.m > 0:
+                potential += body.m * machine.gravity * (turn @ pose.point(ca.DM(body.phi[1:4] / body.m)))[2]
+        return -ca.gradient(potential, q)
 
     def _poses(self, q: ca.SX) -> dict[str, Pose]:
         """Frames P_i of all links in the base frame."""
@@ -288,17 +303,6 @@ class KinematicModel(Shown):
             return tip
         turn = roll_pitch_yaw(self.geometry.turn("tracker"))
         return turn.T @ (tip - self.geometry.point("tracker"))
-
-
-def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, Pose], q: ca.SX) -> ca.SX:
-    """Generalised force of gravity (n,) [N·m, N] on the joints: −∂U/∂q, from the nominal masses of all links."""
-    turn = roll_pitch_yaw(machine.orientation)
-    potential = ca.SX(0)
-    for link in links:
-        if link.body is not None and link.body.m > 0:
-            centre = ca.DM(link.body.phi[1:4] / link.body.phi[0])
-            potential += link.body.m * machine.gravity * (turn @ poses[link.name].point(centre))[2]
-    return -ca.gradient(potential, q)
 
 
 def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:

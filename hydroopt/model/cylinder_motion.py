@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import casadi as ca
@@ -34,6 +35,34 @@ class CylinderMotion(NamedTuple):
     rod_turn: ca.SX
 
 
+class CentreLine(NamedTuple):
+    """A cylinder's pins (3,) [m], their distance [m], `along` as of its motion, and its bodies' axes (3, 3), all in the
+    axis frame of the joint that orients it."""
+
+    pins: tuple[ca.SX, ca.SX]
+    length: ca.SX
+    along: ca.SX
+    turn: ca.SX
+
+
+def centre_line(geometry: Geometry, cylinder: Pinned, q: Mapping[str, ca.SX]) -> CentreLine:
+    """How a cylinder stands between its pins, at positions of the joints by name."""
+    driven = geometry.machine.axis_of(cylinder)
+    barrel, rod = (geometry.pin(cylinder, end, q) for end in ("barrel", "rod"))
+    d = rod - barrel
+    length = ca.norm_2(d)
+    x = d / length
+    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it already is; a
+    # cylinder may be parallel to the axis of a prismatic joint, whose x axis is used instead
+    axis = UP
+    if geometry.machine.link(driven).joint.type == "prismatic":
+        axis = ca.SX(geometry.joint(driven, 0.0).rotation[:, 0])
+    along = ca.dot(axis, x)
+    across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
+    return CentreLine((barrel, rod), length, along, ca.horzcat(x, ca.cross(axis, x) / across,
+                                                               (axis - along * x) / across))
+
+
 def cylinder_motion(geometry: Geometry, cylinder: Pinned, links: dict[str, Motion],
                     tree: Coordinates) -> CylinderMotion:
     """Motion of a cylinder between its pins, computed in the axis frame of the joint that orients it.
@@ -46,21 +75,12 @@ def cylinder_motion(geometry: Geometry, cylinder: Pinned, links: dict[str, Motio
     driven = machine.axis_of(cylinder)
     before = machine.link(driven).parent
     q = {joint: tree.q[k] for k, joint in enumerate(machine.tree_joints)}
-    pins = [geometry.pin(cylinder, end, q) for end in ("barrel", "rod")]
+    line = centre_line(geometry, cylinder, q)
+    pins, length, along, x, y, z = line.pins, line.length, line.along, *(line.turn[:, k] for k in range(3))
+    across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
     speeds = [rate(pin, tree) for pin in pins]
     accelerations = [rate(speed, tree) for speed in speeds]
-    d, dd, ddd = (rod - barrel for barrel, rod in (pins, speeds, accelerations))
-    length = ca.norm_2(d)
-    x = d / length
-    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it already is; a
-    # cylinder may be parallel to the axis of a prismatic joint, whose x axis is used instead
-    axis = UP
-    if machine.link(driven).joint.type == "prismatic":
-        axis = ca.SX(geometry.joint(driven, 0.0).rotation[:, 0])
-    along = ca.dot(axis, x)
-    across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
-    y = ca.cross(axis, x) / across
-    z = (axis - along * x) / across
+    dd, ddd = (rod - barrel for barrel, rod in (speeds, accelerations))
     speed = ca.dot(x, dd)
     turn_y, turn_z = -ca.dot(z, dd) / length, ca.dot(y, dd) / length
     lean = along / across
@@ -69,7 +89,7 @@ def cylinder_motion(geometry: Geometry, cylinder: Pinned, links: dict[str, Motio
     rate_y = turn_x * turn_z - (2 * speed * turn_y + ca.dot(z, ddd)) / length
     rate_x = lean * rate_z - turn_y * turn_z / across**2
     acceleration = ca.dot(x, ddd) + length * (turn_y**2 + turn_z**2)
-    frame, turn = links[before].fixed(geometry.seat(driven)), ca.horzcat(x, y, z)
+    frame, turn = links[before].fixed(geometry.seat(driven)), line.turn
     rotation, rotation_rate = ca.vertcat(turn_x, turn_y, turn_z), ca.vertcat(rate_x, rate_y, rate_z)
     bodies = [frame.carry(Pose(turn, pins[k]), turn.T @ speeds[k], turn.T @ accelerations[k], rotation, rotation_rate)
               for k in (0, 1)]
