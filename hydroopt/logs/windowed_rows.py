@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.kernels import windows
+
 Array = NDArray[np.float64]
 FEWER = 8
 """Windows for each column of samples below which products are computed window by window, not column by column."""
+
+COMPILED, MOST = 2048, 16
+"""Rows from which on, and columns of samples up to which, products are computed in C."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +37,15 @@ class WindowedRows:
 
     def __matmul__(self, coefficients: Array) -> Array:
         """Products (N, ...) with coefficients (m, ...)."""
-        windows = np.lib.stride_tricks.sliding_window_view(coefficients, self.values.shape[1], axis=0)
-        return np.asarray(np.einsum("nw,n...w->n...", self.values, windows[self.first]))
+        if (run := self._compiled(coefficients)) is not None:
+            return run.product(coefficients.reshape(self.columns, -1)).reshape(-1, *coefficients.shape[1:])
+        own = np.lib.stride_tricks.sliding_window_view(coefficients, self.values.shape[1], axis=0)
+        return np.asarray(np.einsum("nw,n...w->n...", self.values, own[self.first]))
 
     def gathered(self, samples: Array) -> Array:
         """Products (m, ...) of the transpose with samples (N, ...), row by row in the order of their windows."""
+        if (run := self._compiled(samples)) is not None:
+            return run.gathered(samples.reshape(len(samples), -1)).reshape(-1, *samples.shape[1:])
         made = np.zeros((self.columns, *samples.shape[1:]))
         if samples.ndim > 1 and FEWER * made[0].size > len(self._starts):
             width, edges = self.values.shape[1], np.append(self._starts, len(samples)).tolist()
@@ -54,6 +63,14 @@ class WindowedRows:
             made[self.first[self._starts] + offset] += column  # no two windows begin at the same column
         return made
 
+    def _compiled(self, given: Array) -> windows.Windows | None:
+        """The same in C, where that pays for as many columns as are given."""
+        return self._windows if len(self.values) >= COMPILED and given.size <= MOST * len(given) else None
+
+    @cached_property
+    def _windows(self) -> windows.Windows | None:
+        return windows.compiled(self.values, self.first, self.columns)
+
     def _summed(self, products: Array) -> Array:
         """Sums (windows, k) over the rows of each window of (N, k)."""
         return np.add.reduceat(products, self._starts, axis=0) if len(self._starts) else products
@@ -67,6 +84,8 @@ class WindowedRows:
     @property
     def gram(self) -> Array:
         """The product (m, m) of the transpose with these rows, in lower band storage (w, m)."""
+        if (run := self._compiled(self.values)) is not None:
+            return run.gram()
         width = self.values.shape[1]
         made, at = np.zeros((width, self.columns)), self.first[self._starts]
         turned = np.ascontiguousarray(self.values.T)
