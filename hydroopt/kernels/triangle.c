@@ -1,5 +1,5 @@
-/* R of a QR of many rows of `width` numbers, a multiple of PANEL: as many rows as the first cache holds at a time are
-   reflected into the triangle of all before, PANEL reflections together (Schreiber and Van Loan 1989). */
+/* R of a QR of many rows: as many of them as the first cache holds at a time are reflected into the triangle of all
+   before, PANEL reflections together (Schreiber and Van Loan 1989). */
 #include <math.h>
 #include <string.h>
 #if defined(__AVX512F__)
@@ -18,6 +18,7 @@
 #endif
 #define PANEL 4
 #define ROWS 128 /* at a time */
+#define TRIANGLE (-1)
 /* HOLD(x) keeps x in a register: gcc would read it again from memory for each product. */
 typedef double real __attribute__((vector_size(8 * LANES), aligned(64), may_alias));
 typedef double pair __attribute__((vector_size(16)));
@@ -94,25 +95,43 @@ static void reflected(long width, double *R, long m, real *columns)
     }
 }
 
-/* Rows of `given` numbers, `across` from one to the next: those at `places`, or where there are none the first, `down`
-   numbers from one to the next. `work`, on a multiple of 64 bytes, has room for `width` times ROWS numbers. */
+/* Folds rows of `given` numbers, `across` from one to the next, of which `width`, a multiple of PANEL, is no less: those
+   at `places`, or where there are none all, `down` numbers from one to the next, from edges[b] to edges[b + 1] into the
+   b-th square. A square holds as many rows as are waiting there, or where that is TRIANGLE their triangle. `work`, on a
+   multiple of 64 bytes, has room for `width` times ROWS numbers. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
-void triangle(long width, double *R, long rows, const long *places, long given, const double *x, long down,
-              long across, double *work)
+void triangles(long width, long given, long bands, double *squares, long *waiting, const long *edges, const long *places,
+               const double *x, long down, long across, double *work)
 {
     memset(work, 0, sizeof(double) * width * ROWS);
-    for (long at = 0; at < rows; at += ROWS) {
-        const long some = rows - at < ROWS ? rows - at : ROWS, m = (some + LANES - 1) / LANES;
-        for (long c = 0; c < given; c++) {
-            const double *from = x + c * across;
-            double *to = work + c * ROWS;
-            if (places) for (long i = 0; i < some; i++) to[i] = from[places[at + i] * down];
-            else if (down == 1) memcpy(to, from + at, sizeof(double) * some);
-            else for (long i = 0; i < some; i++) to[i] = from[(at + i) * down];
-            for (long i = some; i < m * LANES; i++) to[i] = 0;
+    for (long b = 0; b < bands; b++, squares += width * width) {
+        const long rows = edges[b + 1] - edges[b];
+        if (waiting[b] != TRIANGLE && waiting[b] + rows > given) {
+            const long m = (waiting[b] + LANES - 1) / LANES;
+            for (long c = 0; c < given; c++)
+                for (long i = 0; i < m * LANES; i++) work[c * ROWS + i] = i < waiting[b] ? squares[i * width + c] : 0;
+            memset(squares, 0, sizeof(double) * width * width);
+            if (m) reflected(width, squares, m, (real *)work);
+            waiting[b] = TRIANGLE;
         }
-        reflected(width, R, m, (real *)work);
+        const long parts = (rows + ROWS - 1) / ROWS, each = parts ? ((rows + parts - 1) / parts + LANES - 1) / LANES * LANES : 1;
+        for (long at = edges[b]; at < edges[b + 1]; at += each) {
+            const long some = edges[b + 1] - at < each ? edges[b + 1] - at : each, m = (some + LANES - 1) / LANES;
+            const int wait = waiting[b] != TRIANGLE;
+            double *const into = wait ? squares + waiting[b] * width : work;
+            const long next = wait ? width : 1, apart = wait ? 1 : ROWS;
+            for (long c = 0; c < given; c++) {
+                const double *from = x + c * across;
+                double *to = into + c * apart;
+                if (places) for (long i = 0; i < some; i++) to[i * next] = from[places[at + i] * down];
+                else if (down == 1 && !wait) memcpy(to, from + at, sizeof(double) * some);
+                else for (long i = 0; i < some; i++) to[i * next] = from[(at + i) * down];
+                if (!wait) for (long i = some; i < m * LANES; i++) to[i] = 0;
+            }
+            if (wait) waiting[b] += some;
+            else reflected(width, squares, m, (real *)work);
+        }
     }
 }

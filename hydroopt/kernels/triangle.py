@@ -1,12 +1,13 @@
-"""The triangle of a QR of many rows in C: one pass over them, in the first cache, without a copy of all."""
+"""Rows folded into triangles by QR in C: one pass over them, in the first cache, without a copy of all."""
 
 from __future__ import annotations
 
 import ctypes
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,9 @@ from hydroopt.spatial.inertia import Array
 
 PANEL, ROWS, LANES = 4, 128, 8
 """Of triangle.c: columns reflected together, rows at a time, and numbers in a register at most."""
+TRIANGLE = -1
+"""Number of waiting rows where they are a triangle."""
+Edges = Sequence[int] | NDArray[np.intp]
 
 
 class _Memory(threading.local):
@@ -28,28 +32,67 @@ class _Memory(threading.local):
 _memory = _Memory()
 
 
-def triangle_of(*blocks: Array, places: NDArray[np.intp] | None = None) -> Array:
-    """R (k, k) of a QR of the blocks (m, k) stacked, of the last of them the rows at `places` alone if stated. Where
-    there are fewer rows than columns, the last rows of R are zero.
+class Triangles:
+    """Rows (·, k) of several bands with the sums of squares of all that were folded: these, or a triangle (k, k) where
+    they would be more than k.
 
-    >>> triangle_of(np.array([[3.0]]), np.array([[4.0], [7.0]]), places=np.array([0]))
-    array([[-5.]])
+    >>> folded = Triangles(2, 1)
+    >>> folded.fold(np.array([[3.0], [4.0], [7.0]]), [0, 2, 3])
+    >>> [folded[0].tolist(), folded[1].tolist()]
+    [[[-5.0]], [[7.0]]]
     """
-    k = blocks[0].shape[1]
-    run, width = _compiled(), -(-k // PANEL) * PANEL
-    if run is None:
-        last = blocks[-1] if places is None else blocks[-1][places]
-        return np.asarray(np.linalg.qr(np.vstack([*blocks[:-1], last, np.zeros((k, k))]), mode="r"))
-    if _memory.work.size < width * ROWS + LANES:
-        _memory.work = np.empty(width * ROWS + LANES)
-    work = _memory.work[-(_memory.work.ctypes.data // 8) % LANES :]  # from a cache line on
-    made = np.zeros((width, width))
-    some = None if places is None else np.ascontiguousarray(places, dtype=ctypes.c_long)
-    for block in blocks:
-        rows, at = (len(block), None) if some is None or block is not blocks[-1] else (len(some), some.ctypes.data)
-        down, across = (step // block.itemsize for step in block.strides)
-        run(width, made.ctypes.data, rows, at, k, block.ctypes.data, down, across, work.ctypes.data)
-    return made[:k, :k]
+
+    def __init__(self, bands: int, columns: int) -> None:
+        self.columns, self._width = columns, -(-columns // PANEL) * PANEL
+        self._rows = np.zeros((bands, self._width, self._width))
+        self._waiting = np.zeros(bands, dtype=ctypes.c_long)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was folded."""
+        return not np.any(self._waiting)
+
+    def __getitem__(self, band: int) -> Array:
+        """Rows (·, k) of a band."""
+        waiting = int(self._waiting[band])
+        return self._rows[band, : self.columns if waiting == TRIANGLE else waiting, : self.columns]
+
+    def fold(self, rows: Array, edges: Edges, places: NDArray[np.intp] | None = None) -> None:
+        """Add rows (N, k), or those at `places` (N,) alone: those from one of the `edges` (bands + 1,) to the next one
+        to each band."""
+        if (run := _compiled()) is None:
+            self._fold(rows if places is None else rows[places], edges)
+            return
+        if _memory.work.size < self._width * ROWS + LANES:
+            _memory.work = np.empty(self._width * ROWS + LANES)
+        work = _memory.work[-(_memory.work.ctypes.data // 8) % LANES :]  # from a cache line on
+        ends, some = (None if x is None else np.ascontiguousarray(x, dtype=ctypes.c_long) for x in (edges, places))
+        assert ends is not None
+        down, across = (step // rows.itemsize for step in rows.strides)
+        run(self._width, self.columns, len(self), self._rows.ctypes.data, self._waiting.ctypes.data, ends.ctypes.data,
+            None if some is None else some.ctypes.data, rows.ctypes.data, down, across, work.ctypes.data)
+
+    def _fold(self, rows: Array, edges: Edges) -> None:
+        for band, (first, end) in enumerate(pairwise(edges)):
+            both, k = np.concatenate([self[band], rows[first:end]]), self.columns
+            if end > first and len(both) > k:
+                self._rows[band, :k, :k], self._waiting[band] = np.linalg.qr(both, mode="r"), TRIANGLE
+            elif end > first:
+                self._rows[band, : len(both), :k], self._waiting[band] = both, len(both)
+
+    def add(self, blocks: Sequence[Array] | Triangles) -> None:
+        """Add rows (·, k) of each band."""
+        some = [blocks[band] for band in range(len(blocks))]
+        self.fold(np.concatenate(some), [*accumulate(map(len, some), initial=0)])
+
+    def copy(self) -> Triangles:
+        """The same, to which others can be added."""
+        made = Triangles(0, self.columns)
+        made._rows, made._waiting = self._rows.copy(), self._waiting.copy()
+        return made
 
 
 @cache
@@ -61,11 +104,11 @@ def _compiled() -> Callable[..., None] | None:
         return None
     source = Path(__file__).with_suffix(".c").read_text("utf-8")
     try:
-        run: Callable[..., None] = native.built([source.encode()], by, lambda: source).triangle
+        run: Callable[..., None] = native.built([source.encode()], by, lambda: source).triangles
     except (OSError, subprocess.SubprocessError) as error:
         notice(f"the QR of many rows cannot be compiled ({reason(error)})", "LAPACK computes it, more slowly")
         return None
-    run.argtypes = [*[ctypes.c_long, ctypes.c_void_p] * 3,  # type: ignore[attr-defined]
+    run.argtypes = [*[ctypes.c_long] * 3, *[ctypes.c_void_p] * 5,  # type: ignore[attr-defined]
                     ctypes.c_long, ctypes.c_long, ctypes.c_void_p]
     run.restype = None  # type: ignore[attr-defined]
     return run

@@ -8,24 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.kernels.triangle import triangle_of
+from hydroopt.kernels.triangle import Triangles
 from hydroopt.spatial.inertia import Array
 
-ROWS, SLACK = 1024, 128
-"""Rows of a block, and those that wait for a QR."""
+ROWS = 1024
+"""Samples whose rows are computed together."""
 
 
 class ActuatorTriangles:
     """Triangles T_i with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` over the rows of actuator i.
 
-    `compact` are rows with the same sums of squares, in those columns of [K_i, f_i] that the `bases` keep; `samples`
+    `folded` are rows with the same sums of squares, in those columns of [K_i, f_i] that the `bases` keep; `samples`
     (n,) counts the rows, `forces` (n,) adds up f_i.
     """
 
     def __init__(self, bases: Sequence[ColumnBasis], parameters: int) -> None:
         n = len(bases)
         self.bases = bases
-        self.compact = [np.zeros((0, len(basis.kept) + 1)) for basis in bases]
+        self.folded = [Triangles(1, len(basis.kept) + 1) for basis in bases]
         self.samples = np.zeros(n)
         self.parameters, self.forces = parameters, np.zeros(n)
 
@@ -34,7 +34,8 @@ class ActuatorTriangles:
                 forces: Array) -> ActuatorTriangles:
         """Those of rows (m, ·) in the columns of [K, f] that bases keep, with `samples` (n,) and `forces` (n,)."""
         made = cls(bases, parameters)
-        made.compact = [compact(block) for block in rows]
+        for folded, block in zip(made.folded, rows, strict=True):
+            folded.add([block])
         made.samples, made.forces = samples, forces
         return made
 
@@ -48,21 +49,22 @@ class ActuatorTriangles:
 
     def fold_rows(self, actuator: int, rows: Array, places: NDArray[np.intp]) -> None:
         """Add those at `places` of the rows (N, k+1) of [K, f] of an actuator in the columns that its basis keeps."""
-        self.compact[actuator] = folded_rows(self.compact[actuator], rows, places=places)
+        self.folded[actuator].fold(rows, [0, len(places)], places)
         self.samples[actuator] += len(places)
         self.forces[actuator] += np.sum(rows[places, -1])
 
     def add(self, other: ActuatorTriangles) -> None:
         """Add the triangles of another with the same bases."""
-        self.compact = [folded_rows(one, more) for one, more in zip(self.compact, other.compact, strict=True)]
+        for one, more in zip(self.folded, other.folded, strict=True):
+            one.add(more)
         self.samples += other.samples
         self.forces += other.forces
 
     def expanded(self) -> ActuatorTriangles:
         """The same in all columns of the actuators."""
         return ActuatorTriangles.of_rows([ColumnBasis.whole(basis.own) for basis in self.bases], self.parameters,
-                                         [block @ basis.expander for basis, block in zip(self.bases, self.compact,
-                                                                                         strict=True)],
+                                         [folded[0] @ basis.expander
+                                          for basis, folded in zip(self.bases, self.folded, strict=True)],
                                          self.samples, self.forces)
 
     @property
@@ -70,28 +72,22 @@ class ActuatorTriangles:
         """Triangles (n, p+1, p+1) of all columns."""
         p = self.parameters
         out = np.zeros((len(self.bases), p + 1, p + 1))
-        for each, basis, block in zip(out, self.bases, self.compact, strict=True):
-            rows = triangle(block @ basis.expander)
+        for each, basis, folded in zip(out, self.bases, self.folded, strict=True):
+            rows = triangle(folded[0] @ basis.expander)
             each[np.ix_(basis.columns[: len(rows)], basis.columns)] = rows
         return out
 
     def squares(self, v: Array) -> Array:
         """Sums (n,) of the squares of rows times v (p+1,)."""
-        return np.array([np.sum((block @ (basis.expander @ v[basis.columns])) ** 2)
-                         for block, basis in zip(self.compact, self.bases, strict=True)])
-
-
-def folded_rows(rows: Array, more: Array, most: int = SLACK, places: NDArray[np.intp] | None = None) -> Array:
-    """Rows with the sums of squares of both blocks (·, k), or of `more` at `places` alone: these, or a triangle where
-    they have more than `most`."""
-    if len(rows) + len(more if places is None else places) <= max(rows.shape[1], most):
-        return np.concatenate([rows, more if places is None else more[places]])
-    return triangle_of(rows, more, places=places)
+        return np.array([np.sum((folded[0] @ (basis.expander @ v[basis.columns])) ** 2)
+                         for folded, basis in zip(self.folded, self.bases, strict=True)])
 
 
 def compact(rows: Array) -> Array:
     """At most as many rows as columns, with the same sums of squares."""
-    return folded_rows(rows[:0], rows, 0)
+    made = Triangles(1, rows.shape[1])
+    made.add([rows])
+    return made[0]
 
 
 def triangle(*blocks: Array) -> Array:

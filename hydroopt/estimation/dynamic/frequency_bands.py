@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles, compact, folded_rows
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
 from hydroopt.kernels.cosine import cosine_transform
+from hydroopt.kernels.triangle import Triangles
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
@@ -20,8 +21,6 @@ BLOCK = 2**13
 LOWEST, RATIO, BANDS = 0.02, 1.6, 24
 """Upper end of the lowest band over `RATIO` [Hz], ratio of neighbouring ends, and number of bands: up to 1 kHz."""
 
-Folded = list[list[Array]]
-"""Rows by actuator and band."""
 
 
 class ActuatorBands:
@@ -36,7 +35,7 @@ class ActuatorBands:
     Attributes:
         bases, contrast: for each actuator the columns of K_i, of which those that its basis keeps are folded, and those
             that C_i repeats.
-        earlier, later: rows [K_i, f_i] by actuator and band, of blocks in the first and in the second half of a log.
+        earlier, later: rows [K_i, f_i] of each actuator by band, of blocks in the first and the second half of a log.
         across: rows [K_i, C_i, f_i] of blocks in both.
         counts: (n, B) residuals of each actuator in each band.
         parameters: their number p.
@@ -83,9 +82,7 @@ class ActuatorBands:
             self.counts[i] += np.diff(edges) * np.mean(here)
             contrast = np.where(later, 1.0, -1.0) * (self._repeated(i).T @ block[:-1]) if folded is self.across else ()
             turned = cosine_transform(np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block).T
-            for b in range(BANDS):
-                if edges[b] < edges[b + 1]:
-                    folded[i][b] = folded_rows(folded[i][b], turned[edges[b] : edges[b + 1]])
+            folded[i].fold(turned, edges)
 
     def _repeated(self, actuator: int) -> Array:
         """(k, m) what makes the columns that C repeats of the kept ones."""
@@ -93,14 +90,14 @@ class ActuatorBands:
         return basis.mixing[:, np.isin(basis.own, self.contrast[actuator])]
 
     @property
-    def _folded(self) -> tuple[Folded, Folded, Folded]:
+    def _folded(self) -> tuple[list[Triangles], list[Triangles], list[Triangles]]:
         return self.earlier, self.later, self.across
 
     def add(self, other: ActuatorBands, step: float = 0.0) -> None:
         """Add what another has folded: of another log, or of a later piece of the same one, sampled each `step` [s]."""
         for mine, others in zip(self._folded, other._folded, strict=True):
-            for own, blocks in zip(mine, others, strict=True):
-                own[:] = map(folded_rows, own, blocks)
+            for own, more in zip(mine, others, strict=True):
+                own.add(more)
         self.counts += other.counts
         self.samples += other.samples
         self.forces += other.forces
@@ -116,8 +113,8 @@ class ActuatorBands:
         part = object.__new__(ActuatorBands)
         part.bases, part.contrast, part.parameters = self.bases, self.contrast, self.parameters
         part.earlier, part.later, part.across = (
-            [[block if here else block[:0] for block in blocks] for blocks, here in zip(some, actuators, strict=True)]
-            for some in self._folded)
+            [rows.copy() if here else Triangles(BANDS, rows.columns)
+             for rows, here in zip(some, actuators, strict=True)] for some in self._folded)
         part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
         part.forces, part.holds = self.forces * actuators, self.holds.copy()
         part.noisy, part.noise = self.noisy, self.noise * actuators[self.noisy, None, None]
@@ -130,27 +127,27 @@ class ActuatorBands:
     def _channels(self, contrasts: bool) -> Iterator[Channel]:
         first = self.parameters
         whole = self.expanded()
-        for basis, contrast, blocks, counts in zip(whole.bases, self.contrast, whole.across, self.counts, strict=True):
+        for basis, contrast, rows, counts in zip(whole.bases, self.contrast, whole.across, self.counts, strict=True):
             extra = np.arange(first, first + len(contrast)) if contrasts else np.zeros(0, dtype=np.intp)
             first += len(extra)
             c = len(basis.own)
             kept = np.r_[: c + len(extra), c + len(contrast)]
-            yield Channel(np.concatenate([basis.own, extra]), tuple(block[:, kept] for block in blocks), counts)
+            yield Channel(np.concatenate([basis.own, extra]), tuple(rows[b][:, kept] for b in range(BANDS)), counts)
 
     def expanded(self) -> ActuatorBands:
         """The same in all columns of the actuators, [K_i, C_i, f_i] `across` the halves, with at most as many rows as
         columns."""
-        if all(basis.kept is basis.own and not any(map(len, (*first, *second)))
-               and all(len(block) <= block.shape[1] for block in blocks)
-               for basis, first, second, blocks in zip(self.bases, *self._folded, strict=True)):
+        if all(basis.kept is basis.own and first.empty and second.empty
+               for basis, first, second, _ in zip(self.bases, *self._folded, strict=True)):
             return self
         made = self.copy()
         made.bases = [ColumnBasis.whole(basis.own) for basis in self.bases]
         made.earlier, made.later = (_empty([len(basis.columns) for basis in self.bases]) for _ in range(2))
-        made.across = [[compact(np.vstack([self._spread(i, compact(block), sign)
-                                           for block, sign in zip(blocks, (-1.0, 1.0, 0.0), strict=True)]))
-                        for blocks in zip(*own, strict=True)]
-                       for i, own in enumerate(zip(*self._folded, strict=True))]
+        made.across = _empty([len(basis.columns) + len(extra)
+                              for basis, extra in zip(self.bases, self.contrast, strict=True)])
+        for i, whole in enumerate(made.across):
+            for rows, sign in zip(self._folded, (-1.0, 1.0, 0.0), strict=True):
+                whole.add([self._spread(i, rows[i][b], sign) for b in range(BANDS)])
         return made
 
     def _spread(self, actuator: int, rows: Array, sign: float) -> Array:
@@ -163,11 +160,11 @@ class ActuatorBands:
     def triangles(self) -> ActuatorTriangles:
         """The same rows whatever their frequency, without C_i."""
         whole = self.expanded()
-        rows = [np.vstack([np.delete(block, np.s_[len(basis.own) : -1], axis=1) for block in blocks])
-                for basis, blocks in zip(whole.bases, whole.across, strict=True)]
+        rows = [np.vstack([np.delete(own[b], np.s_[len(basis.own) : -1], axis=1) for b in range(BANDS)])
+                for basis, own in zip(whole.bases, whole.across, strict=True)]
         return ActuatorTriangles.of_rows(whole.bases, self.parameters, rows, self.samples, self.forces)
 
 
-def _empty(columns: Sequence[int]) -> Folded:
+def _empty(columns: Sequence[int]) -> list[Triangles]:
     """No rows, of so many columns by actuator."""
-    return [[np.zeros((0, k)) for _ in range(BANDS)] for k in columns]
+    return [Triangles(BANDS, k) for k in columns]

@@ -7,7 +7,7 @@ import pytest
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles
-from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
+from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory
@@ -95,5 +95,5 @@ def test_bands_keep_the_squares_of_rows_that_differ_between_the_halves(cat215b: 
         v = rng.standard_normal(len(basis.own) + len(extra) + 1)
         sign = np.where(later, 1.0, -1.0)[:, None]
         row = np.hstack([K[:, i, basis.own], sign * K[:, i, extra], force[:, i, None]])
-        squares = sum(float(np.sum((block @ v) ** 2)) for block in whole.across[i])
+        squares = sum(float(np.sum((block @ v) ** 2)) for block in (whole.across[i][b] for b in range(BANDS)))
         assert squares == pytest.approx(float(np.sum((row[taken[:, i]] @ v) ** 2)), rel=1e-11)
