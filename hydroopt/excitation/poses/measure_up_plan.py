@@ -71,6 +71,12 @@ class MeasureUpPlan(PosePlan):
         return float(DRIVE * len(self.q) + (self.taken * [each.minutes for each in self.readings]).sum())
 
     @property
+    def by_themselves(self) -> tuple[str, ...]:
+        """Channels that the plan counts on in every posture: joints' sensors, and readings that need no hand."""
+        return (*(f"{joint}.q" for joint in self.joints if f"{joint}.q" in self.problem.channels),
+                *(channel for each in self.readings if not each.by_hand for channel in each.channels))
+
+    @property
     def uses(self) -> tuple[Use, ...]:
         """How well the tip will be known."""
         return (Use(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
@@ -79,8 +85,9 @@ class MeasureUpPlan(PosePlan):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """Measure, and calibrate."""
-        return (NextStep(Action.MEASURE, f"Take the readings of sheet.txt (about {self.minutes:.0f} min) and fill "
-                                         "poses.csv; leave all other cells empty."),
+        along = " and what reads by itself" if self.by_themselves else ""
+        return (NextStep(Action.MEASURE, f"Take the readings of sheet.txt (about {self.minutes:.0f} min), and fill "
+                                         f"them{along} into poses.csv; leave all other cells empty."),
                 NextStep(Action.USE, "Then:", f"hydroopt calibrate {self.machine.source} "
                                               f"{self.command_line.path('poses.csv')} -o calibration"))
 
@@ -96,6 +103,8 @@ class MeasureUpPlan(PosePlan):
         text = [f"{self.count} readings in {len(self.q)} postures for {self.machine.name}: about {self.minutes:.0f} "
                 f"min. The tip is then known to {readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
         text += ["", self.left_out.sentence, self.ways]
+        if self.by_themselves:
+            text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
         read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]
         printed = {joint: self._printed(joint) for joint in read}
         before: tuple[str, ...] = ()
