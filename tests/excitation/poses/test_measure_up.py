@@ -73,8 +73,8 @@ def test_a_better_tip_takes_more_and_readings_that_cost_nothing_come_first() -> 
 
 def test_the_sheet_names_what_is_read_along() -> None:
     assert "In every posture, record along: swing.q, boom.q, stick.q, bucket.q.\n" in plan().sheet()
-    free = measure_up_problem(load_machine(FILE), tip=0.02, minutes={"boom_cylinder.length": 0.0})
-    assert "bucket.q, boom_cylinder.length.\n" in fewest_readings(free, candidates=20).sheet()
+    free = measure_up_problem(load_machine(FILE), tip=0.02, minutes={"tape.length": 0.0})
+    assert "bucket.q, tape.length.\n" in fewest_readings(free, candidates=20).sheet()
 
 
 def test_same_seed_same_plan() -> None:
