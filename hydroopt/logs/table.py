@@ -126,15 +126,16 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
         raw = [table.columns[key] for key in column.keys] or [np.zeros(len(table.rows))]
         with np.errstate(over="ignore", invalid="ignore"):
             difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
-            values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
-        beyond = ~(np.abs(values[name]) <= largest(si))
-        if np.any(beyond):
-            beyond &= np.all(np.isfinite(raw), axis=0)
-        if name == "t" and table.stamps is not None and np.count_nonzero(beyond) > beyond.size // 2:
-            raise LogError(f"the time is stated in {column.unit}, but its numbers are an epoch in {table.stamps.unit}",
-                           where=where, remedy=f"state its unit as {table.stamps.unit}")
-        for row in table.rows[beyond]:
-            table.damage.setdefault(int(row), f"{name} beyond {largest(si):g} {si}")
+            scale, shift = column.factor * factor(column.unit, si), column.shift(si, where)
+            values[name] = difference if (scale, shift) == (1, 0) else scale * difference + shift
+        most = largest(si)
+        if not (-most <= values[name].min(initial=0.0) and values[name].max(initial=0.0) <= most):  # or one is NaN
+            beyond = ~(np.abs(values[name]) <= most) & np.all(np.isfinite(raw), axis=0)
+            if name == "t" and table.stamps is not None and np.count_nonzero(beyond) > beyond.size // 2:
+                raise LogError(f"the time is stated in {column.unit}, but its numbers are an epoch in "
+                               f"{table.stamps.unit}", where=where, remedy=f"state its unit as {table.stamps.unit}")
+            for row in table.rows[beyond]:
+                table.damage.setdefault(int(row), f"{name} beyond {most:g} {si}")
         units[name] = si
     return values, {name: unit for name, unit in units.items() if name != "t"}
 

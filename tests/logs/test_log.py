@@ -1,4 +1,5 @@
 import hashlib
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
+from hydroopt.logs import quality
 from hydroopt.logs.log import Log, LogMap, read_map
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import stream
@@ -397,3 +399,25 @@ def test_damaged_ur10e_log_is_refused_and_its_sound_rows_are_read():
     log = read_log(path, mapping=layout.model_copy(update={"rows": (11, 6106)}))
     assert log.t.size == 6096
     assert log.sample[0] == 11
+
+
+def test_level_runs_are_those_of_a_plain_search() -> None:
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(500):
+        x = np.repeat(rng.integers(0, 3, 40), rng.integers(1, 14, 40))[: rng.integers(1, 80)].astype(float)
+        x[rng.random(x.size) < 0.02] = np.nan
+        shortest = int(rng.integers(2, 14))
+        edges = [0, *(np.flatnonzero(x[1:] != x[:-1]) + 1), x.size]
+        wanted = [(a, b) for a, b in itertools.pairwise(edges) if b - a >= shortest]
+        assert quality._level_runs(x, shortest) == wanted
+        found += len(wanted)
+    assert found > 500
+
+
+@pytest.mark.parametrize("size", [17, 1000, 131072])
+def test_high_quantiles_are_those_of_numpy(size: int) -> None:
+    rng = np.random.default_rng(size)
+    x = rng.standard_normal(size)
+    # in order, with ties, and such that every sixteenth sample misleads
+    for one in (x, np.sort(x), np.sort(x)[::-1], np.round(x), 0 * x, np.where(np.arange(size) % 16 == 0, 5.0, x)):
+        assert quality.high_quantile(one, 0.95) == pytest.approx(np.quantile(one, 0.95), rel=1e-14, abs=1e-300)

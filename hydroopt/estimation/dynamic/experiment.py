@@ -15,12 +15,12 @@ from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
-    DRY,
     FEW_MOVING,
     Courses,
     Phases,
     SpeedLimits,
     dry_friction_known,
+    has_dry,
     has_dry_friction,
 )
 from hydroopt.estimation.dynamic.holds import Hold
@@ -235,7 +235,7 @@ class Experiment:
             edges = [np.flatnonzero(np.diff(column, prepend=False, append=False)).tolist() for column in held.T]
             spans = [(i, first, end) for i, some in enumerate(edges)
                      for first, end in zip(some[::2], some[1::2], strict=True)]
-            dry = np.isin(np.array(self.model.parameters.kinds), DRY)
+            dry = has_dry(self.model) if spans else np.zeros(0)
             for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
                 basis, own = bands.bases[i], rows[i][:, first:end]
                 total = np.append(np.where(dry[basis.own], 0.0, basis.spread(own[: len(basis.kept)].sum(axis=1))),

@@ -68,9 +68,8 @@ class ActuatorBands:
             step: [s] between samples.
         """
         count = len(later)
-        frequency = (np.arange(count) + 0.5) / (2 * count * step)
-        band = np.clip(np.floor(np.log(frequency / LOWEST) / np.log(RATIO)), 0, BANDS - 1)
-        edges = np.searchsorted(band, np.arange(BANDS + 1))
+        ends = 2 * count * step * LOWEST * RATIO ** np.arange(1.0, BANDS)  # coefficient k has k + ½ half waves
+        edges = np.concatenate([[0], np.clip(np.ceil(ends - 0.5), 0, count).astype(int), [count]])
         folded = self.later if np.all(later) else self.across if np.any(later) else self.earlier
         for i, block in enumerate(rows):
             here = taken[:, i]
