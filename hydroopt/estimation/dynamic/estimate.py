@@ -70,7 +70,8 @@ class Estimate(Identification, Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
-        tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit)
+        uncertain = {} if self.problem.beside else misfit_diagnostics.uncertain_geometry(self.problem.model.machine)
+        tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit, uncertain)
         # a cause of a misfit may move what friction does at reversals
         late = () if self.misfit is None or self.misfit.causes else reversals.diagnose(self)
         more = (*tested, *late, *diagnostics.diagnose(self))

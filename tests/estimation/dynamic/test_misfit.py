@@ -146,6 +146,19 @@ def late(log: Log, samples: int) -> Log:
                                   else x for name, x in log.channels.items()})
 
 
+@pytest.mark.parametrize("stated", [True, False])
+def test_pins_that_the_file_leaves_uncertain_look_like_an_offset(crane: Model, sound: Log, *, stated: bool) -> None:
+    machine = crane.machine
+    if not stated:
+        machine = machine.model_copy(update={"notes": {path: note for path, note in machine.notes.items()
+                                                       if ".pin" not in path}})
+    turned = replace(sound, channels={name: x + (0.06 if name == "lift.q" else 0.0)
+                                      for name, x in sound.channels.items() if not name.endswith(".length")})
+    first = identify(identification_problem(machine, [turned]), intervals=False).diagnostics[0]
+    assert first.evidence["fault"] == "offset lift.q"
+    assert ("leaves those of lift_cylinder uncertain: calibrate" in first.remedy) == stated
+
+
 def test_a_delay_is_named_with_its_size_and_can_be_freed(crane: Model, sound: Log) -> None:
     problem = identification_problem(crane, [late(sound, 5)])
     estimate = identify(problem, intervals=False)

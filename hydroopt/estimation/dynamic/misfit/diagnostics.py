@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.freed import Freed
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
+from hydroopt.machine.links import Note
+from hydroopt.machine.machine import Machine
 from hydroopt.results.diagnostic import Diagnostic, listed, probability
 from hydroopt.results.tables import number
 from hydroopt.results.wording import Kind
@@ -20,15 +23,20 @@ none: residuals are large for whole stretches then, as after steps of valves, an
 away."""
 
 
-def diagnose(found: Misfit) -> Iterator[Diagnostic]:
-    """Causes that may be named, or else readings that nothing listed explains; spikes and lines."""
+def diagnose(found: Misfit, uncertain: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Diagnostic]:
+    """Causes that may be named, or else readings that nothing listed explains; spikes and lines.
+
+    Args:
+        found: the test.
+        uncertain: parts whose geometry the machine file leaves uncertain, by the channel to whose offset it is alike.
+    """
     for cause in found.causes:
         fault = cause.fault
         words, amount = fault.said(cause.size)
         tied = [other.fault.said(other.size)[0] for other in cause.tied if other.fault.words != fault.words]
         yield Diagnostic(Kind.MISFIT_CAUSE, fault.subject, {
             "cause": words, "fault": fault.name, "amount": amount * fault.factor,
-            "remedy": _remedy(fault),
+            "remedy": _remedy(fault) + _alike(uncertain, [fault, *(other.fault for other in cause.tied)]),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor,
             "unit": fault.unit, "evidence": cause.evidence, "tied": [other.fault.name for other in cause.tied],
             "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
@@ -67,6 +75,25 @@ def _remedy(fault: Fault) -> str:
         return "Correct these bodies in the machine file, or state a larger sigma of their numbers."
     word = fault.group if fault.subject == ("forces",) else fault.name
     return f"Correct it in the log or the machine file, or estimate it along: --free '{word}'."
+
+
+def _alike(uncertain: Mapping[str, Sequence[str]], faults: Sequence[Fault]) -> str:
+    """That wrong pins and zeros of joints look like offsets of angles, where the machine file does not know them."""
+    parts = [part for fault in faults if fault.group == "offset" for part in uncertain.get(fault.subject[0], ())]
+    if not parts:
+        return ""
+    return (f" Wrong pins and zeros look alike, and the machine file leaves those of {listed(parts)} uncertain: "
+            "calibrate them from poses first, or by --with-geometry from cylinders' lengths in the log.")
+
+
+def uncertain_geometry(machine: Machine) -> dict[str, list[str]]:
+    """Links and cylinders of whose zeros, lengths and pins the machine file states a confidence, by the channel of the
+    joint that they turn, where they look like an offset."""
+    stated = {number.name.partition(".")[0] for number in machine.geometry_numbers
+              if not number.name.endswith(".dead_length") and machine.notes.get(number.path, Note()).sigma}
+    return {f"{joint}.q": [part for part in (joint, *(each.name for each in machine.cylinders
+                                                      if joint in machine.moved_by(each))) if part in stated]
+            for joint in machine.joints}
 
 
 def detectable(found: Misfit) -> Diagnostic | None:
