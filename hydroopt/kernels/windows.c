@@ -47,3 +47,70 @@ EXPORT void product(long rows, const double *v, const int *first, const double *
         made[i] = v[0] * own[0] + v[1] * own[1] + v[2] * own[2] + (v[3] * own[3] + v[4] * own[4] + v[5] * own[5]);
     }
 }
+
+/* As many systems as a vector has lanes, side by side. */
+#define LANES 4
+typedef double real __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+
+static inline real root(real a)
+{
+    for (int l = 0; l < LANES; l++) a[l] = sqrt(a[l]);
+    return a;
+}
+
+/* L of L·Lᵀ = G + weight·P, of each of the weights. G and P hold the diagonal and the numbers below it column by column,
+   WIDTH for each; so does L, with the diagonal's inverse, after WIDTH columns of zeros. */
+EXPORT void factors(long columns, const double *G, const double *P, const real *weight, real *L)
+{
+    real *own = L + WIDTH * WIDTH;
+    for (long j = 0; j < columns; j++, own += WIDTH, G += WIDTH, P += WIDTH) {
+        for (int b = 0; b < WIDTH; b++) own[b] = G[b] + *weight * P[b];
+        for (int a = WIDTH - 1; a > 0; a--)
+            for (int b = 0; a + b < WIDTH; b++) own[b] -= own[a - a * WIDTH] * own[a + b - a * WIDTH];
+        own[0] = 1 / root(own[0]);
+        for (int b = 1; b < WIDTH; b++) own[b] *= own[0];
+    }
+}
+
+/* x of L·Lᵀ·x = x in place, between WIDTH zeros before and behind. */
+EXPORT void solved(long columns, const real *L, real *x)
+{
+    const real *own = L + WIDTH * WIDTH;
+    x += WIDTH;
+    for (long j = 0; j < columns; j++, own += WIDTH) {
+        real y = x[j];
+        for (int a = WIDTH - 1; a > 0; a--) y -= own[a - a * WIDTH] * x[j - a];
+        x[j] = y * own[0];
+    }
+    for (long j = columns - 1; j >= 0; j--) {
+        own -= WIDTH;
+        real y = x[j];
+        for (int a = WIDTH - 1; a > 0; a--) y -= own[a] * x[j + a];
+        x[j] = y * own[0];
+    }
+}
+
+/* Value and first two derivatives of a curve at the places x, of which cell[i] is the whole part, `step` numbers from one
+   sample to the next and `apart` from one derivative to the next. In a cell the curve is the sum of u^k·powers[k][a]·c[a]
+   over WIDTH powers of the place u in it and as many coefficients from that of the cell on; the derivatives are times
+   `scale` and its square. */
+EXPORT void curve(long rows, const double *x, const int *cell, const double *powers, const double *c, double scale,
+                  double *made, long step, long apart)
+{
+    double p[WIDTH];
+    for (long i = 0; i < rows; i++, made += step) {
+        if (!i || cell[i] != cell[i - 1])
+            for (int k = 0; k < WIDTH; k++) {
+                p[k] = 0;
+                for (int a = 0; a < WIDTH; a++) p[k] += powers[k * WIDTH + a] * c[cell[i] + a];
+            }
+        const double u = x[i] - cell[i];
+        double value = 0, first = 0, second = 0;
+        for (int k = WIDTH - 1; k >= 0; k--) {
+            value = value * u + p[k];
+            if (k > 0) first = first * u + k * p[k];
+            if (k > 1) second = second * u + k * (k - 1) * p[k];
+        }
+        made[0] = value, made[apart] = scale * first, made[2 * apart] = scale * scale * second;
+    }
+}

@@ -1,20 +1,23 @@
-"""Products with rows of which only a window of six neighbouring columns is not zero, in C: each is one pass."""
+"""Products with rows of which only a window of six neighbouring columns is not zero, and the normal equations of such
+rows, in C: each is one pass."""
 
 from __future__ import annotations
 
 import ctypes
 import subprocess
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.spatial.inertia import Array
 
-WIDTH = 6
+WIDTH, LANES = 6, 4
 """Of windows.c."""
 
 
@@ -47,6 +50,61 @@ class Windows:
         return made.T
 
 
+class Factors:
+    """Cholesky factors of ``gram + weight·penalty`` (m, m), in lower band storage (6, m), for some weights (k,)."""
+
+    def __init__(self, library: ctypes.CDLL, gram: Array, penalty: Array, weights: Sequence[float]) -> None:
+        self._library, self._columns, self._count = library, gram.shape[1], len(weights)
+        self._parts = []
+        turned = [np.ascontiguousarray(each.T, dtype=float) for each in (gram, penalty)]
+        for first in range(0, self._count, LANES):
+            lanes = np.resize(np.array(weights[first : first + LANES], dtype=float), LANES)
+            made = np.zeros((self._columns + WIDTH, WIDTH, LANES))
+            library.factors(ctypes.c_long(self._columns), *(_at(each) for each in (*turned, lanes, made)))
+            self._parts.append(made)
+
+    def solved(self, right: Array) -> Array:
+        """x (m, k) of the systems with right-hand sides (m, k).
+
+        Raises:
+            LinAlgError: a matrix is not positive definite.
+        """
+        made = np.empty_like(right)
+        for n, part in enumerate(self._parts):
+            some = slice(n * LANES, min((n + 1) * LANES, self._count))
+            x = np.zeros((self._columns + 2 * WIDTH, LANES))
+            x[WIDTH:-WIDTH, : some.stop - some.start] = right[:, some]
+            self._library.solved(ctypes.c_long(self._columns), _at(part), _at(x))
+            made[:, some] = x[WIDTH:-WIDTH, : some.stop - some.start]
+        if not np.all(np.isfinite(made)):
+            raise LinAlgError("a matrix is not positive definite")
+        return made
+
+
+def factors(gram: Array, penalty: Array, weights: Sequence[float]) -> Factors | None:
+    """The factors; None where no compiler works."""
+    library = _library()
+    return None if library is None else Factors(library, gram, penalty, weights)
+
+
+def curves(x: Array, cell: NDArray[Any], powers: Array, coefficients: Array, scale: float) -> Array | None:
+    """Values and first two derivatives (3, N, k) of curves at the places x (N,); None where no compiler works.
+
+    In a `cell` (N,), the whole part of x, curve k is the sum of u^i·powers[i, a]·coefficients[cell + a, k], where u is
+    the place in it; derivatives are by ``x / scale``.
+    """
+    if (library := _library()) is None:
+        return None
+    made = np.empty((3, len(x), coefficients.shape[1]))
+    places, cells, matrix = (np.ascontiguousarray(each, dtype=kind) for each, kind in (
+        (x, float), (cell, ctypes.c_int), (powers, float)))
+    for k, column in enumerate(np.ascontiguousarray(coefficients.T, dtype=float)):
+        library.curve(ctypes.c_long(len(x)), *(_at(each) for each in (places, cells, matrix, column)),
+                      ctypes.c_double(scale), _at(made[:, :, k]), ctypes.c_long(made.shape[2]),
+                      ctypes.c_long(made[0].size))
+    return made
+
+
 def _at(values: NDArray[Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(values.ctypes.data)
 
@@ -68,5 +126,5 @@ def _library() -> ctypes.CDLL | None:
     try:
         return native.built([source.encode()], by, lambda: source)
     except (OSError, subprocess.SubprocessError) as error:
-        notice(f"sums of splines cannot be compiled ({reason(error)})", "NumPy computes them, more slowly")
+        notice(f"splines cannot be compiled ({reason(error)})", "NumPy and LAPACK compute them, more slowly")
         return None

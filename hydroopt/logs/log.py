@@ -86,7 +86,7 @@ class Log(Shown):
                            remedy="correct the time stamps or choose a longer stretch")
         channels = {name: frozen(x, float) for name, x in self.channels.items()}
         sample = frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
-        segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
+        segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t, find.usual_step(t))), int)
         for name, x in {"sample": sample, "segment": segment, **channels}.items():
             if x.shape != t.shape:
                 raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,

@@ -83,21 +83,20 @@ def repeated(t: Array) -> Mask:
     return np.asarray(np.diff(t, prepend=-np.inf) == 0, dtype=bool)
 
 
-def gaps(t: Array, times_median: float = 3.0) -> Mask:
-    """Samples that follow a step of more than `times_median` median steps."""
-    if t.size < 2:
-        return np.zeros(t.size, bool)
-    step = np.diff(t)
-    return np.concatenate([[False], step > times_median * np.median(step)])
+def usual_step(t: Array) -> float:
+    """The median step [s]; 0 of a single sample."""
+    return float(np.median(np.diff(t))) if t.size > 1 else 0.0
 
 
-def jitter(t: Array) -> Mask:
-    """Samples after a step off the median by more than 10 %, gaps not counted."""
-    if t.size < 3:
-        return np.zeros(t.size, bool)
+def gaps(t: Array, usual: float) -> Mask:
+    """Samples that follow a step of more than three of the `usual` ones."""
+    return np.concatenate([[False], np.diff(t) > 3.0 * usual])
+
+
+def jitter(t: Array, usual: float) -> Mask:
+    """Samples after a step off the `usual` one by more than 10 %, gaps not counted."""
     step = np.diff(t)
-    off = np.abs(step - np.median(step)) > 0.1 * np.median(step)
-    return np.concatenate([[False], off]) & ~gaps(t)
+    return np.concatenate([[False], (np.abs(step - usual) > 0.1 * usual) & (step <= 3.0 * usual)])
 
 
 def spikes(x: Array, finest: float = 0.0) -> Mask:

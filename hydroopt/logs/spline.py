@@ -21,8 +21,9 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from hydroopt.bounded_minimum import bounded_minimum
+from hydroopt.kernels import windows
 from hydroopt.lapack import banded_cholesky, cholesky_solved
-from hydroopt.logs.windowed_rows import WindowedRows
+from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
@@ -250,6 +251,15 @@ class Basis:
         return SmoothSpline(coefficients, chosen, self.bandwidth(chosen),
                             float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
 
+    def courses(self, coefficients: Array) -> Array:
+        """Values and first two derivatives (3, N, k) [unit of y / s^derivative] at the samples, of coefficients (m, k).
+        """
+        if len(self.x) >= COMPILED:
+            made = windows.curves(self.x, self.design.first, _POWERS, coefficients, 1 / self.spacing)
+            if made is not None:
+                return made
+        return np.array([(self.derivative(self.x, order) @ coefficients) / self.spacing**order for order in range(3)])
+
     def solve(self, chosen: Filter, right: Array) -> Array:
         """Coefficients of the penalised normal equations, then of those of what each smoothing leaves."""
         factor = banded_cholesky(self.gram + 10.0**chosen.log_weight * self.penalty)
@@ -257,6 +267,18 @@ class Basis:
         for _ in range(chosen.passes - 1):
             left = right - self.design.gathered(self.design @ coefficients)
             coefficients = coefficients + cholesky_solved(factor, left)
+        return coefficients
+
+    def solve_each(self, filters: Sequence[Filter], right: Array) -> Array:
+        """The same (m, k) of as many right-hand sides (m, k) as filters, each with its own."""
+        weights = [10.0**one.log_weight for one in filters]
+        factors = windows.factors(self.gram, self.penalty, weights) if len(right) >= COMPILED else None
+        if factors is None:
+            return np.column_stack([self.solve(one, column) for one, column in zip(filters, right.T, strict=True)])
+        coefficients, passes = factors.solved(right), np.array([one.passes for one in filters])
+        for done in range(1, int(passes.max())):
+            left = right - self.design.gathered(self.design @ coefficients)
+            coefficients += np.where(passes > done, factors.solved(left), 0.0)
         return coefficients
 
 

@@ -52,12 +52,9 @@ class Smoother:
             for grid in dict.fromkeys(self.grids):
                 basis = Basis(t[span], grid)
                 joints = [j for j, own in enumerate(self.grids) if own == grid]
-                right = basis.design.gathered(q[span, joints])
-                coefficients = np.column_stack([basis.solve(self.filters[j], right[:, k])
-                                                for k, j in enumerate(joints)])
-                for order in range(3):
-                    rows = basis.design if order == 0 else basis.derivative(basis.x, order)
-                    out[order, span, joints] = (rows @ coefficients).T / basis.spacing**order
+                coefficients = basis.solve_each([self.filters[j] for j in joints],
+                                                basis.design.gathered(q[span, joints]))
+                out[:, span, joints] = basis.courses(coefficients)
             interior[span] = inside(t[span], self.bandwidth)
         passes = np.array([one.passes for one in self.filters])
         return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth, passes, self.notes)

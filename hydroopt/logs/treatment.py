@@ -237,8 +237,8 @@ def _worst(samples: Samples) -> Callable[[str, Mask], str]:
 
 
 def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[Samples, NDArray[np.int64]]:
-    after_gap, uneven = find.gaps(samples.t), find.jitter(samples.t)
-    step = float(np.median(np.diff(samples.t)))
+    step = find.usual_step(samples.t)
+    after_gap, uneven = find.gaps(samples.t, step), find.jitter(samples.t, step)
     if after_gap.any():
         longest = float(np.max(np.diff(samples.t)))
         samples = _note(samples, "gap", "t", after_gap, f"follow a gap (longest {longest:.4g} s, usual step "

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from numpy.linalg import LinAlgError
 from scipy.interpolate import BSpline
 
+from hydroopt.kernels import windows
+from hydroopt.kernels.compiler import compiler
 from hydroopt.logs import spline, streamed_smoothing
 from hydroopt.logs.smoothing import SmoothingSpline, condition
-from hydroopt.logs.spline import Basis, Grid
+from hydroopt.logs.spline import Basis, Filter, Grid
 
 T = 3.0 + np.arange(901) / 50
 NOISE = 2e-3
@@ -93,3 +96,32 @@ def test_pieces_of_a_motion_of_stated_bandwidth_are_smoothed_like_the_whole(shar
     core = np.arange(T.size)[window] < 400
     part = chosen.motion(T[window], q[window], np.zeros(core.size, int), core, "log")
     np.testing.assert_allclose(part.qdd[core], whole.qdd[:400], rtol=0, atol=1e-9 * np.max(np.abs(whole.qdd)))
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_systems_that_are_solved_side_by_side_are_those_solved_one_by_one() -> None:
+    rng = np.random.default_rng(5)
+    t = np.sort(rng.uniform(0.0, 100.0, 9000))
+    basis = Basis(t, Grid.of(t))
+    filters = [Filter(2.0), Filter(-2.0, 4), Filter(3.0, 2), Filter(1.0), Filter(4.0)]
+    right = basis.design.gathered(rng.standard_normal((t.size, len(filters))))
+    wanted = np.column_stack([basis.solve(one, column) for one, column in zip(filters, right.T, strict=True)])
+    found = basis.solve_each(filters, right)
+    assert windows.factors(basis.gram, basis.penalty, [1.0]) is not None
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
+    with pytest.raises(LinAlgError):
+        windows.factors(basis.gram, basis.penalty, [-1.0]).solved(right[:, :1])
+
+
+def test_courses_are_those_of_each_derivative(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(6)
+    t = 7.0 + np.sort(rng.uniform(0.0, 100.0, 5000))
+    basis = Basis(t, Grid.of(t))
+    coefficients = rng.standard_normal((basis.intervals + 5, 3))
+    found = basis.courses(coefficients)
+    monkeypatch.setattr(windows, "curves", lambda *_: None)
+    wanted = basis.courses(coefficients)
+    for order in range(3):
+        np.testing.assert_allclose(found[order], wanted[order], rtol=0, atol=1e-12 * np.abs(wanted[order]).max())
+        reference = basis.derivative(basis.x, order) @ coefficients / basis.spacing**order
+        np.testing.assert_allclose(wanted[order], reference, rtol=0, atol=1e-12 * np.abs(reference).max())
