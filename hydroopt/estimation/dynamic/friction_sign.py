@@ -163,8 +163,9 @@ class Phases:
                                for k, sign in zip(range(PARTS + 1), (-1, *[0] * (PARTS - 1), 1), strict=True)])
             rest[span] = _same_mean(angles[span], places, limits.sigma)
             moving[span] &= ~rest[span]
-            fast = np.concatenate([np.zeros((1, moving.shape[1])), np.cumsum(moving[span], axis=0)])
-            calm[span] = fast[places[-1]] == fast[places[0]]
+            for j, one in enumerate(moving[span].T):
+                fast = np.concatenate([[0], np.cumsum(one)])
+                calm[span, j] = fast.take(places[-1]) == fast.take(places[0])
         return cls(moving, calm, rest & calm)
 
     def at_rest(self, motion: Motion) -> Motion:
