@@ -412,8 +412,8 @@ WORDS: dict[Kind, Words] = {
         "Friction and offsets differ from log to log by {part:.0f %} of the friction force (standard deviation): the "
         "intervals are those of their mean."),
     Kind.STATED_CONTRADICTED: Words(
-        "The sensors contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
-        "Check these numbers, or widen the sigmas of all of their kind: what motion does not determine stays as "
+        "The readings contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
+        "Check these numbers, or widen the sigmas of all of their kind: what readings do not determine stays as "
         "uncertain as it is."),
     Kind.BODIES_CONTRADICTED: Words(
         "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "

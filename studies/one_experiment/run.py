@@ -24,7 +24,7 @@ from hydroopt.logs import sensors
 from hydroopt.simulation.postures import close
 from hydroopt.simulation.simulate import Trajectory
 
-SEEDS = {"stated": 200, "accurate": 5, "further_off": 5}
+SEEDS = {"stated": 200, "accurate": 5, "further_off": 10}
 DURATION, RATE = 33.28, 50.0
 MIDDLE, PART = np.radians([0.0, -22.0, 85.0]), 0.8
 """Posture about which the machine moves while the calibrator is attached, and how far, as a part of its ranges."""

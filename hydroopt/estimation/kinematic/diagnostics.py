@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.estimation.inference.stated_numbers import contradicted
 from hydroopt.estimation.kinematic.calibrated_machine import WidenedLimits
 from hydroopt.estimation.kinematic.prediction import PredictionTest
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
@@ -57,6 +58,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     yield from _noise(solution)
     yield from _identifiability(solution)
     yield from _priors(solution)
+    yield from _further_off(solution)
     yield from _uniqueness(solution)
     held = tuple(name for name, bound in zip(solution.problem.parameters.names, solution.at_bound, strict=True)
                  if bound)
@@ -200,6 +202,24 @@ def _priors(solution: KinematicSolution) -> Iterator[Diagnostic]:
     if far:
         evidence: dict[str, Any] = {"distances": listed([f"{name} (by {distance[name]:.1f} σ)" for name in far])}
         yield Diagnostic(Kind.FAR_FROM_FILE, tuple(far), evidence | {"sigmas": [distance[name] for name in far]})
+
+
+def _further_off(solution: KinematicSolution) -> Iterator[Diagnostic]:
+    """Kinds of numbers that are further from what is stated than their sigmas say; suspects move numbers as well."""
+    problem, found = solution.problem, solution.observability
+    if solution.algorithm != JOINT or solution.suspects:
+        return
+    covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+    own = np.flatnonzero((np.diag(found.prior) > 0) & np.isfinite(found.std))
+    sigma = 1 / np.sqrt(np.diag(found.prior)[own])
+    # errors of the poses that are larger than stated move all numbers further
+    more = max(1.0, solution.noise_scale) ** 2 - 1 if np.isfinite(solution.noise_scale) else 0.0
+    moved = more * (covariance - covariance @ found.prior @ covariance) - covariance
+    names = [found.names[k] for k in own]
+    at = [problem.parameters.names.index(name) for name in names]
+    yield from contradicted(names, [f"{problem.parameters.kinds[k].value}s" for k in at],
+                            (solution.theta[at] - problem.parameters.nominal[at]) / sigma,
+                            np.eye(len(own)) + moved[np.ix_(own, own)] / np.outer(sigma, sigma))
 
 
 def _uniqueness(solution: KinematicSolution) -> Iterator[Diagnostic]:

@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hydroopt.estimation.inference.stated_numbers import contradicted
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import Observations
 from hydroopt.estimation.motion.paths import Spline
 from hydroopt.estimation.motion.problem import SensorProblem
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.results.diagnostic import Diagnostic, probability
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 from hydroopt.tails import chi_square
@@ -24,12 +25,6 @@ FAR = 1.5
 """Residuals that are so many times the stated noise are worth a sentence."""
 COARSE_ANGLE, COARSE_LENGTH = float(np.radians(0.5)), 5e-3
 """Uncertainty of a joint's position [rad, m] that is worth a sentence."""
-CONTRADICTED = 1e-3
-"""Probability, over all groups of numbers, below which they contradict what is stated of them."""
-DETERMINED = 0.5
-"""Part of the stated variance that the data must take away from a combination of numbers to test it."""
-MOST = 4
-"""Numbers that a sentence names."""
 GROUPS = {ParameterKind.BIAS: "biases", ParameterKind.DELAY: "delays", ParameterKind.CLOCK_DRIFT: "drifts of clocks",
           ParameterKind.LAG: "lags"}
 MANY = 0.001
@@ -88,28 +83,14 @@ def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnosti
 
 
 def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:
-    """Groups of common numbers that are further from what is stated than their sigmas say.
-
-    In units of sigma, what is found is normal about what is stated, with the covariance 1 − C/σ², C that of the fit.
-    """
+    """Groups of common numbers that are further from what is stated than their sigmas say."""
     common = found.fit.common
-    off = (found.fit.value - [each.prior for each in common]) / found.fit.sigma
-    spread = np.eye(len(common)) - found.covariance / np.outer(found.fit.sigma, found.fit.sigma)
     mounting = problem.machine.imu_numbers
-    names = ["places of the IMUs" if each.name in mounting else GROUPS.get(each.kind, "numbers of the geometry")
-             for each in common]
-    for group in dict.fromkeys(names):
-        own = np.array([k for k, name in enumerate(names) if name == group])
-        values, vectors = np.linalg.eigh(spread[np.ix_(own, own)])
-        determined = values > DETERMINED
-        squares = (vectors[:, determined].T @ off[own]) ** 2 / values[determined]
-        p = chi_square(int(np.sum(determined)), float(np.sum(squares))) if determined.any() else 1.0
-        if len(set(names)) * p < CONTRADICTED:
-            far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], DETERMINED))
-            most = [k for k in np.argsort(-far, kind="stable")[:MOST].tolist() if far[k] > 2.0]
-            yield Diagnostic(Kind.STATED_CONTRADICTED, tuple(common[own[k]].name for k in most), {
-                "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": int(np.sum(determined)),
-                "p_value": p, "probability": probability(p)})
+    groups = ["places of the IMUs" if each.name in mounting else GROUPS.get(each.kind, "numbers of the geometry")
+              for each in common]
+    yield from contradicted([each.name for each in common], groups,
+                            (found.fit.value - [each.prior for each in common]) / found.fit.sigma,
+                            np.eye(len(common)) - found.covariance / np.outer(found.fit.sigma, found.fit.sigma))
 
 
 def _changes(data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:
