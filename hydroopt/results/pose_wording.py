@@ -72,7 +72,8 @@ POSE_WORDS: dict[Kind, Words] = {
         "The sensor of '{subject}' is not linear: its error at both ends differs from that in the middle by {size:.3g} "
         "{unit}."),
     Kind.JOINT_SAGS: Words(
-        "'{subject}' gives way under gravity, by up to {size:.3g} {unit}.", "State its compliance with a sigma."),
+        "'{subject}' gives way under gravity, by up to {size:.3g} {unit}.",
+        "Take it in by --compliance auto, or state its compliance with a sigma."),
     Kind.FIXTURE_MOVED: Words("The fixture '{subject}' moved by about {size:.1f} {unit} before {place}."),
     Kind.BASE_MOVED: Words("The base moved by about {size:.1f} {unit} before {place}."),
     Kind.TOOL_MOVED: Words("The tool moved on its link by about {size:.1f} {unit} before {place}."),

@@ -17,7 +17,7 @@ from hydroopt.estimation.kinematic.prediction import PredictionTest, prediction_
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes, units_of
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
-from hydroopt.estimation.kinematic.suspect import Suspect
+from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
 from hydroopt.logs.poses import Poses
@@ -29,6 +29,7 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.status import Status
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
 from hydroopt.results.wording import Kind
@@ -137,6 +138,10 @@ class Calibration(KinematicSolution, Answer):
         if wrong and not self.command_line.given("--without-suspects"):
             steps.append(NextStep(Action.CHECK, f"Correct {', '.join(wrong[:3])}, or leave out what contradicts the "
                                   "others:", self.command_line.again("--without-suspects")))
+        named = [each.kind for suspect in self.suspects for each in (suspect, *suspect.rivals)]
+        if SuspectKind.SAG in named and not self.command_line.given("--compliance"):
+            steps.append(NextStep(Action.CHECK, "Take in joints that give way under gravity, as far as other poses are "
+                                  "predicted better:", self.command_line.again("--compliance", "auto")))
         if self.problem.validation is None:
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
@@ -147,7 +152,7 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
                 "the tip, a calibrator or a tracker, in the machine file.")))
-        if self._written.text:
+        if self._written.text and self.status is Status.OK:
             steps.append(NextStep(Action.USE, *self.using_machine))
         return tuple(steps)
 

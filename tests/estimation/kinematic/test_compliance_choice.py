@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.compliance_choice import choose_compliance, compliant, with_compliance
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.excitation.poses.exchange import fedorov_exchange
@@ -19,6 +20,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
+from hydroopt.results.status import Status
+from hydroopt.results.verdict import Action
 from hydroopt.simulation.pose_table import simulate_poses
 from hydroopt.spatial.inertia import Array
 
@@ -82,6 +85,17 @@ def test_chosen_joints_are_parameters(machine: Machine, planned: Poses) -> None:
     assert [name for name in problem.parameters.names if name.endswith("compliance")] == [f"{SOFT}.compliance"]
     with pytest.raises(ProblemError, match="no joint 'elbow'"):
         compliant(machine, poses, ["elbow"])
+
+
+def test_a_sag_that_was_left_out_is_taken_in_next(machine: Machine, planned: Poses) -> None:
+    stiff, poses = with_compliance(machine, {}), measured(machine, planned, COMPLIANCE, 1)
+    answer = calibrate(calibration_problem(stiff, poses))
+    assert answer.status is Status.SUSPECT
+    assert answer.next_steps[0].text.startswith("Take in joints that give way under gravity")
+    assert not any(step.action is Action.USE for step in answer.next_steps)
+    right = calibrate(calibration_problem(compliant(stiff, poses, [SOFT]), poses))
+    assert right.status is Status.OK
+    assert right.next_steps[-1].action is Action.USE
 
 
 def test_bodies_are_needed(machine: Machine, planned: Poses) -> None:
