@@ -146,6 +146,19 @@ def late(log: Log, samples: int) -> Log:
                                   else x for name, x in log.channels.items()})
 
 
+def test_errors_with_a_memory_are_said_to_wander(crane: Model, sound: Log) -> None:
+    rng, kept = np.random.default_rng(2), np.exp(-1 / (2.0 * 50.0))
+    slow = np.zeros((2, sound.size))
+    for k in range(1, sound.size):
+        slow[:, k] = kept * slow[:, k - 1] + np.sqrt(1 - kept**2) * rng.normal(size=2)
+    pressures = [name for name in sound.channels if ".p_" in name]
+    log = replace(sound, channels=sound.channels | {
+        name: sound.channels[name] + crane.machine.sensor(name).std * slow[k] for k, name in enumerate(pressures)})
+    estimate = identify(identification_problem(crane, [log]), intervals=False)
+    (found,) = of_kind(estimate.diagnostics, Kind.LACK_OF_FIT)
+    assert "wander over the log, as where a sensor's errors have a memory, " in found.text
+
+
 @pytest.mark.parametrize("stated", [True, False])
 def test_pins_that_the_file_leaves_uncertain_look_like_an_offset(crane: Model, sound: Log, *, stated: bool) -> None:
     machine = crane.machine

@@ -65,8 +65,8 @@ def _unexplained(found: Misfit) -> Iterator[Diagnostic]:
             "others": f"; those of {listed(others)}, too" if others else ""})
 
 
-_COURSES = {"time": "drift over the log", "position": "depend on the position of its joint",
-            "speed": "depend on its speed"}
+_COURSES = {"time": "wander over the log, as where a sensor's errors have a memory",
+            "position": "depend on the position of its joint", "speed": "depend on its speed"}
 """What residuals do that are not like noise over one of the courses."""
 
 
