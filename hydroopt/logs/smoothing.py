@@ -238,8 +238,7 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
     for joint, column in enumerate(q.T):
         stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
         fitted = pieces.fit(column, stated, smoothing.bandwidth)
-        for order in range(3):
-            out[order, :, joint] = fitted.at_samples(order)
+        out[:, :, joint] = fitted.at_samples
         corners[joint], passes[joint] = fitted.bandwidth, fitted.filter.passes
         name = names[joint] if names else f"joint {joint + 1}"
         notes.append(smoothing_note(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))

@@ -90,9 +90,10 @@ class SmoothSpline:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
         return self._at(self.basis.places(t), derivative)
 
-    def at_samples(self, derivative: int = 0) -> Array:
-        """The same (N,) at the samples' own times."""
-        return self._at(self.basis.x, derivative)
+    @property
+    def at_samples(self) -> Array:
+        """Values and first two derivatives (3, N) at the samples' own times."""
+        return self.basis.courses(self.coefficients[:, None])[:, :, 0]
 
     def _at(self, x: Array, derivative: int) -> Array:
         rows = self.basis.derivative(x, derivative)

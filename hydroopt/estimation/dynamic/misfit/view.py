@@ -286,7 +286,7 @@ class View:
         for a, b, basis in self._splines:
             chosen = basis.filter_of(float(motion.bandwidth[joint]), int(motion.passes[joint]))
             curve = basis.spline(course[a:b], chosen)
-            made[:, a:b] = [curve.at_samples(order) for order in range(3)]
+            made[:, a:b] = curve.at_samples
         return made
 
     @cached_property
