@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 HIGHEST = "-O3"
-"""Level of optimisation of code that is evaluated millions of times, samples side by side."""
+"""Level of optimisation of loops over many numbers, which are the same for all machines and compiled once."""
 
 
 def flags(system: str, processor: str) -> tuple[str, ...]:
@@ -25,20 +25,20 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
     No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself.
     Tests run on Linux alone; elsewhere a compiler that refuses these options leaves the work to CasADi.
 
-    >>> flags("Darwin", "arm64")
-    ('-O3', '-mcpu=native', '-fno-math-errno', '-fPIC', '-shared', '-w')
+    >>> " ".join(flags("Darwin", "arm64"))
+    '-O3 -mcpu=native -fno-math-errno -ftree-vectorize -fexpensive-optimizations -fPIC -shared -w'
     """
     own = "-mcpu=native" if (system, processor) == ("Darwin", "arm64") else "-march=native"
     place = () if system == "Windows" else ("-fPIC",)  # all code there can be moved, and clang refuses the option
-    return (HIGHEST, own, "-fno-math-errno", *place, "-shared", "-w")
+    # at every level: the C library's vectors of sines begin as loops, and gcc fuses products and sums
+    always = ("-ftree-vectorize", "-fexpensive-optimizations")
+    return (HIGHEST, own, "-fno-math-errno", *always, *place, "-shared", "-w")
 
 
 FLAGS = flags(platform.system(), platform.machine())
 INSTALLED = {"Darwin": "'xcode-select --install' installs one",
              "Windows": "install clang of LLVM, and add it to the path"}
 """How a compiler is installed, by ``platform.system()``."""
-LONG = 300_000
-"""Characters of C beyond which full optimisation takes minutes and gains little."""
 LONGEST = 3_000_000
 """Characters of C beyond which any optimisation takes minutes; without, it still beats CasADi's virtual machine."""
 PROBING, COMPILING = 10.0, 120.0
@@ -65,8 +65,8 @@ class Compiler:
         return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
 
     def compile(self, source: str, folder: Path, level: str = HIGHEST) -> Path:
-        """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files; long sources
-        are optimised less than the `level` asks for.
+        """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files; the longest
+        sources are not optimised, whatever the `level`.
 
         The compiler works there, since linkers look for some libraries in their working directory.
 
@@ -75,7 +75,7 @@ class Compiler:
             subprocess.SubprocessError: it fails or exceeds its time limit.
         """
         built = folder / "kernel.so"
-        at = "-O0" if len(source) > LONGEST else "-O1" if len(source) > LONG else level
+        at = "-O0" if len(source) > LONGEST else level
         # the last level counts
         command = (*self.command, *FLAGS, at, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:

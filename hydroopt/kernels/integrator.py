@@ -22,10 +22,6 @@ from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.kernels.expression_graph import Node, Program, Ref
 from hydroopt.spatial.inertia import Array
 
-LEVEL = "-O2"
-"""At which steps, which follow one another, are as quick as at the highest level, and compile in three quarters of the
-time."""
-
 
 class IntegrationError(ArithmeticError):
     """No step succeeds any more; `pieces` is how many pieces did."""
@@ -119,7 +115,7 @@ class Integrator:
             return None
         try:
             library = native.library(self.function, found, partial(source, parameters=len(self._parameters)),
-                                     ("integrator.py", "integrator.c"), str(len(self._parameters)), LEVEL)
+                                     ("integrator.py", "integrator.c"), str(len(self._parameters)))
         except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
             notice(f"the integration of '{self.function.name()}' cannot be compiled ({reason(error)})")
             return None

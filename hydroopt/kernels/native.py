@@ -23,7 +23,7 @@ import numpy as np
 from hydroopt import cache
 from hydroopt.kernels import c_writer
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import FLAGS, HIGHEST, LONG, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import FLAGS, HIGHEST, Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.spatial.inertia import Array
 
@@ -35,8 +35,13 @@ LANES = 8
 """Doubles in a cache line: as many samples as a kernel computes side by side at most."""
 MUCH = 16
 """Operations for each result from which on it does not matter whether results are written past the caches."""
-PIECE = 2000
-"""Statements of long code that a compiler takes at a time, whose time grows faster than their number."""
+LONG, PIECE = 300_000, 2000
+"""Characters of C from which on code is long, and statements of it that a compiler takes at a time, whose time grows
+faster than their number."""
+LEVEL = "-O1"
+"""Level of optimisation of what is written for a machine, whose expressions are simple already: `HIGHEST` takes 1.4
+times as long to compile for the same results to the last bit, which gcc's code computes as fast; clang's code at this
+level is 0.65 times as fast as at `HIGHEST`, which takes it up to five times as long."""
 CACHED, RECYCLED = 2**20, 2**25
 """Bytes of results above which they are written past the caches, and above which memory is always fresh, thus zero."""
 
@@ -202,7 +207,7 @@ def kernel(function: ca.Function) -> Kernel | None:
 
 
 def library(function: ca.Function, by: Compiler, write: Callable[[Program], str], own: Sequence[str],
-            options: str = "", level: str = HIGHEST) -> ctypes.CDLL:
+            options: str = "") -> ctypes.CDLL:
     """The shared library from the cache, or compiled now and kept there, or compiled for this process alone.
 
     Args:
@@ -211,7 +216,6 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
         write: writes the C; what it depends on are the program of `function`, `options` and the files `own`.
         own: names of files in this folder.
         options: of `write`.
-        level: at which the compiler optimises.
 
     Raises:
         OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
@@ -219,7 +223,7 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
     """
     here = Path(__file__).parent
     read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", *own)]
-    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)), level)
+    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)), LEVEL)
 
 
 def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], level: str = HIGHEST) -> ctypes.CDLL:
