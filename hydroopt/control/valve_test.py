@@ -212,7 +212,10 @@ class StepDriver:
         name = self._joints[step.actuators]
         active, joint = list(test.plant.drivers[name]), test.plant.machine.joints.index(name)
         self._before = [*self._before[-self._window:], q]
-        speed = (q[joint] - self._before[0][joint]) / (self.period * max(1, len(self._before) - 1))
+        # over the window and over its later half: a joint that falls is faster now than both
+        whole, half = ((q[joint] - some[0][joint]) / (self.period * max(1, len(some) - 1))
+                       for some in (self._before, self._before[-1 - self._window // 2:]))
+        speed = 2 * half - whole
         # a cylinder that extends may lower its joint
         opened, levers = test.opened(q, name), test.plant.transmission(q).full()[active, joint]
         side = np.sign(opened @ levers)
@@ -221,6 +224,9 @@ class StepDriver:
             """How far the joint would pass its limit on one way, turned back now at a speed."""
             end = q.copy()
             end[joint] = (test.upper if speed > 0 else test.lower)[joint]
+            # as fast as the same flow moves it at the limit, where a linkage may make more of it
+            longest = [np.max(np.abs(test.plant.transmission(at).full()[active, joint])) for at in (q, end)]
+            speed *= max(1.0, longest[0] / longest[1])
             brakes = min(test.braking(at, joint, np.sign(speed)) for at in (q, end))
             reach = q[joint] + speed * np.max(test.stopping[active]) + (
                 speed * abs(speed) / (2 * brakes) if brakes else np.copysign(np.inf, speed))
