@@ -60,7 +60,10 @@ class Kills:
             self.unkilled(line.split())
         for name in names:
             for fresh, what in ((False, "old"), (True, "new")):
-                ended = self.unkilled([*self.arguments(name, what), "-o", f"{name}/{what}"], fresh=fresh)
+                # into the folder of all trials, which answers name, and from there to one of its own
+                ended = self.unkilled([*self.arguments(name, what), "-o", "out"], fresh=fresh)
+                (folder / name).mkdir(exist_ok=True)
+                (folder / "out").rename(folder / name / what)
                 self.duration[name], self.events[name, fresh] = ended.seconds, ended.events
         self.content = {(name, what): content(folder / name / what) for name in names for what in ("old", "new")}
 
@@ -90,7 +93,9 @@ class Kills:
         kind = (cells_of(out, new) if name == "study"
                 else state(out, JOBS[name], self.content[name, "old"] if there else {}, new))
         found[kind] = 1
-        found["left over"] = left_over(out) + left_over(cache)
+        # each part of a cache is cleaned by itself
+        parts = [each for each in cache.iterdir() if each.is_dir()] if cache.exists() else []
+        found["left over"] = left_over(out) + sum(map(left_over, [*parts, cache]))
         found["tracebacks"] = "Traceback" in ended.said and moment.number == signal.SIGINT
         found["wrong exits"] = wrong(ended, moment.number)
         found["hangs"] = ended.seconds > LONGEST
