@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from hydroopt import spectra
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
 from hydroopt.spatial.inertia import Array
 
 SIZE, LANES = 2**13, 8
 """SIZE of cosine.c, and as many rows are transformed side by side at most."""
 WORK = LANES * (SIZE + 2**7) + SIZE
 """Numbers that cosine.c needs room for."""
+WHAT = "cosine.c", "the cosine transform", "NumPy computes it, more slowly"
 
 
 def cosine_transform(rows: Array) -> Array:
@@ -38,38 +36,17 @@ def cosine_transform(rows: Array) -> Array:
 
 
 @cache
-def _library() -> ctypes.CDLL | None:
-    from hydroopt.kernels import native  # noqa: PLC0415 (import cost)
-
-    by = compiler()
-    if by is None or by.hangs:
-        return None
-    source = Path(__file__).with_suffix(".c").read_text("utf-8")
-    try:
-        return native.built([source.encode()], by, lambda: source)
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"the cosine transform cannot be compiled ({reason(error)})", "NumPy computes it, more slowly")
-        return None
-
-
-@cache
 def _compiled() -> Callable[..., None] | None:
-    library = _library()
-    if library is None:
-        return None
-    run: Callable[..., None] = library.cosine
-    run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]  # type: ignore[attr-defined]
-    run.restype = None  # type: ignore[attr-defined]
-    return run
+    library = of_file(*WHAT)
+    return None if library is None else routine(library, "cosine", COUNT, ADDRESS, COUNT, ADDRESS, ADDRESS)
 
 
 @cache
 def _table() -> Array:
     """Roots of 1 that all transforms share."""
-    library = _library()
+    library = of_file(*WHAT)
     assert library is not None
-    write = library.cosine_table
-    write.argtypes, write.restype = [ctypes.c_void_p], ctypes.c_long
+    write = routine(library, "cosine_table", ADDRESS, result=COUNT)
     made = np.empty(write(None))
     write(made.ctypes.data)
     return made

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.kernels import native
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
 from hydroopt.spatial.inertia import Array
 
 TILE, GROUP = 4, 6
@@ -72,16 +69,5 @@ class Sweeper:
 @cache
 def compiled() -> Callable[..., None] | None:
     """The C of `Sweeper`; None where no compiler works."""
-    found = compiler()
-    if found is None or found.hangs:
-        return None
-    source = Path(__file__).with_name("ellipses.c").read_text("utf-8")
-    try:
-        sweep = native.built([source.encode()], found, lambda: source).sweep
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"the sampler cannot be compiled ({reason(error)})", "NumPy does its work, more slowly")
-        return None
-    sweep.argtypes = [ctypes.c_void_p, *[ctypes.c_long] * 3, *[ctypes.c_void_p] * 9]
-    sweep.restype = None
-    compiled_sweep: Callable[..., None] = sweep
-    return compiled_sweep
+    library = of_file("ellipses.c", "the sampler", "NumPy does its work, more slowly")
+    return None if library is None else routine(library, "sweep", ADDRESS, *[COUNT] * 3, *[ADDRESS] * 9)

@@ -3,16 +3,12 @@ what of."""
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
-from hydroopt.kernels import native
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, of_file, routine
 from hydroopt.spatial.inertia import Array
 
 TILE = 8
@@ -45,16 +41,6 @@ def marginals(slack: Array, along: Array, at: Array, matrices: int, tail: float)
 
 @cache
 def _compiled() -> Callable[..., None] | None:
-    found = compiler()
-    if found is None or found.hangs:
-        return None
-    source = Path(__file__).with_suffix(".c").read_text("utf-8")
-    try:
-        run: Callable[..., None] = native.built([source.encode()], found, lambda: source).marginals
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"marginal distributions cannot be compiled ({reason(error)})", "intervals are those of the samples, "
-               "which are less exact")
-        return None
-    run.argtypes = [*[ctypes.c_long] * 4, ctypes.c_double, *[ctypes.c_void_p] * 5]  # type: ignore[attr-defined]
-    run.restype = None  # type: ignore[attr-defined]
-    return run
+    library = of_file("marginals.c", "marginal distributions",
+                      "intervals are those of the samples, which are less exact")
+    return None if library is None else routine(library, "marginals", *[COUNT] * 4, NUMBER, *[ADDRESS] * 5)

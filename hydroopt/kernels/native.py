@@ -7,12 +7,10 @@ compiler CasADi's virtual machine does the same work.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import os
 import subprocess
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from threading import Lock
@@ -20,11 +18,11 @@ from threading import Lock
 import casadi as ca
 import numpy as np
 
-from hydroopt import cache
 from hydroopt.kernels import c_writer
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import FLAGS, HIGHEST, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
+from hydroopt.kernels.shared_library import built
 from hydroopt.spatial.inertia import Array
 
 FEW = 100
@@ -224,55 +222,6 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
     here = Path(__file__).parent
     read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", *own)]
     return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)), LEVEL)
-
-
-def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], level: str = HIGHEST) -> ctypes.CDLL:
-    """The shared library of some C, kept in the cache under the hash of all that it depends on.
-
-    Args:
-        content: what the C depends on.
-        by: the compiler.
-        write: writes the C.
-        level: at which the compiler optimises.
-
-    Raises:
-        OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
-        NotImplementedError: there is no C for it.
-    """
-    key = hashlib.sha256()
-    how = Path(__file__).with_name("compiler.py").read_bytes()
-    for part in (*content, how, " ".join((*by.command, *FLAGS, level)).encode(), by.macros):
-        key.update(hashlib.sha256(part).digest())
-
-    def compiled(place: Path) -> Path:
-        return by.compile(write(), place, level)
-
-    try:
-        return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
-    except OSError as error:
-        notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
-               "folder to which you alone can write")
-    with cache.scratch() as place:
-        return ctypes.CDLL(str(compiled(place)))
-
-
-def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:
-    """The library of this key in a folder that only this user can write; what is there but not whole is made anew.
-
-    The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
-    """
-    names = [name for name in os.listdir(folder) if name.startswith(f"{key}-") and name.endswith(".so")]
-    for entry in sorted(folder / name for name in names):  # pathlib's glob takes ten times as long
-        with suppress(OSError):
-            if hashlib.sha256(cache.read(entry)).hexdigest()[:32] == entry.stem.partition("-")[2]:
-                return ctypes.CDLL(str(entry))
-        with suppress(FileNotFoundError):  # another process found it first
-            entry.unlink()
-    with cache.scratch(folder) as place:
-        built = compiled(place)
-        built.chmod(0o700)  # whatever the umask: only this user may write it
-        digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
-        return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))
 
 
 def source(made: Program) -> str:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-import subprocess
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, loaded, routine
 from hydroopt.spatial.inertia import Array
 from hydroopt.spectra import windowed_median
 
@@ -40,21 +38,10 @@ def running_median(x: Array, width: int) -> Array:
 
 @cache
 def _compiled(width: int) -> Callable[..., None] | None:
-    from hydroopt.kernels import native  # noqa: PLC0415 (import cost)
-
-    by = compiler()
-    if by is None or by.hangs:
-        return None
-    try:
-        own = [Path(__file__).with_suffix(end).read_bytes() for end in (".py", ".c")]
-        library = native.built([str(width).encode(), *own], by, lambda: source(width))
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"the running median cannot be compiled ({reason(error)})", "SciPy computes it, more slowly")
-        return None
-    run: Callable[..., None] = library.running_median
-    run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]  # type: ignore[attr-defined]
-    run.restype = None  # type: ignore[attr-defined]
-    return run
+    own = [Path(__file__).with_suffix(end).read_bytes() for end in (".py", ".c")]
+    library = loaded([str(width).encode(), *own], lambda: source(width), "the running median",
+                     "SciPy computes it, more slowly")
+    return None if library is None else routine(library, "running_median", COUNT, ADDRESS, ADDRESS)
 
 
 def source(width: int) -> str:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import accumulate, pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
 from hydroopt.spatial.inertia import Array
 
 PANEL, ROWS, LANES = 4, 128, 8
@@ -97,18 +95,6 @@ class Triangles:
 
 @cache
 def _compiled() -> Callable[..., None] | None:
-    from hydroopt.kernels import native  # noqa: PLC0415 (import cost)
-
-    by = compiler()
-    if by is None or by.hangs:
-        return None
-    source = Path(__file__).with_suffix(".c").read_text("utf-8")
-    try:
-        run: Callable[..., None] = native.built([source.encode()], by, lambda: source).triangles
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"the QR of many rows cannot be compiled ({reason(error)})", "LAPACK computes it, more slowly")
-        return None
-    run.argtypes = [*[ctypes.c_long] * 3, *[ctypes.c_void_p] * 5,  # type: ignore[attr-defined]
-                    ctypes.c_long, ctypes.c_long, ctypes.c_void_p]
-    run.restype = None  # type: ignore[attr-defined]
-    return run
+    library = of_file("triangle.c", "the QR of many rows", "LAPACK computes it, more slowly")
+    return None if library is None else routine(library, "triangles", *[COUNT] * 3, *[ADDRESS] * 5, COUNT, COUNT,
+                                                ADDRESS)

@@ -4,17 +4,14 @@ rows, in C: each is one pass."""
 from __future__ import annotations
 
 import ctypes
-import subprocess
 from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.shared_library import of_file
 from hydroopt.spatial.inertia import Array
 
 WIDTH, LANES = 6, 4
@@ -115,16 +112,5 @@ def compiled(values: Array, first: NDArray[Any], columns: int) -> Windows | None
     return None if library is None else Windows(library, values, first, columns)
 
 
-@cache
 def _library() -> ctypes.CDLL | None:
-    from hydroopt.kernels import native  # noqa: PLC0415 (import cost)
-
-    by = compiler()
-    if by is None or by.hangs:
-        return None
-    source = Path(__file__).with_suffix(".c").read_text("utf-8")
-    try:
-        return native.built([source.encode()], by, lambda: source)
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"splines cannot be compiled ({reason(error)})", "NumPy and LAPACK compute them, more slowly")
-        return None
+    return of_file("windows.c", "splines", "NumPy and LAPACK compute them, more slowly")

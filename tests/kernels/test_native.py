@@ -22,9 +22,10 @@ import pytest
 
 from hydroopt import cache
 from hydroopt.kernels import compiler as system
-from hydroopt.kernels import native
+from hydroopt.kernels import native, shared_library
 from hydroopt.kernels.expression_graph import program
-from hydroopt.kernels.native import FEW, Kernel, Runner, _kept, source
+from hydroopt.kernels.native import FEW, Kernel, Runner, source
+from hydroopt.kernels.shared_library import _kept
 
 pytestmark = [pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
               pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")]
@@ -325,6 +326,6 @@ def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(native, "LONG", 100)
     monkeypatch.setattr(native, "PIECE", 5)
     assert "passed[1]" in source(program(made))
-    monkeypatch.setattr(native.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
+    monkeypatch.setattr(shared_library.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
     (pieces,) = Runner().over(made, at)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-14)

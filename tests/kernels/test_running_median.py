@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import median_filter
 
 from hydroopt.kernels import running_median as own
+from hydroopt.kernels import shared_library
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 7, 8, 12])
@@ -25,7 +26,7 @@ def test_medians_are_those_of_scipy(width: int, count: int) -> None:
 
 
 def test_without_a_compiler_scipy_computes_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own, "compiler", lambda: None)
+    monkeypatch.setattr(shared_library, "compiler", lambda: None)
     own._compiled.cache_clear()
     x = np.random.default_rng(0).standard_normal(own.FEW)
     np.testing.assert_array_equal(own.running_median(x, 5), median_filter(x, 5, mode="nearest"))

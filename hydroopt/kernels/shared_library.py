@@ -1,0 +1,101 @@
+"""Shared libraries of C: compiled once by the system's compiler, and kept under the hash of all that they depend on."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import subprocess
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cache as cached
+from pathlib import Path
+from typing import Any
+
+from hydroopt import cache
+from hydroopt.kernels.compiler import FLAGS, HIGHEST, Compiler, compiler, notice, reason
+
+COUNT, NUMBER, ADDRESS = ctypes.c_long, ctypes.c_double, ctypes.c_void_p
+"""What routines take: long, double, and pointers."""
+
+
+def routine(library: ctypes.CDLL, name: str, *arguments: Any, result: Any = None) -> Callable[..., Any]:
+    """A routine of a library that takes arguments of these types."""
+    made: Callable[..., Any] = library[name]
+    made.argtypes, made.restype = arguments, result  # type: ignore[attr-defined]
+    return made
+
+
+@cached
+def of_file(name: str, what: str, instead: str) -> ctypes.CDLL | None:
+    """The library of a C file in this folder; None where there is none, as `loaded` says."""
+    text = Path(__file__).with_name(name).read_text("utf-8")
+    return loaded([text.encode()], lambda: text, what, instead)
+
+
+def loaded(content: Sequence[bytes], write: Callable[[], str], what: str, instead: str) -> ctypes.CDLL | None:
+    """The library of some C; None where no compiler works.
+
+    Args:
+        content: what the C depends on.
+        write: writes the C.
+        what: it computes, for the notice where it cannot be compiled.
+        instead: what happens then.
+    """
+    by = compiler()
+    if by is None or by.hangs:
+        return None
+    try:
+        return built(content, by, write)
+    except (OSError, subprocess.SubprocessError) as error:
+        notice(f"{what} cannot be compiled ({reason(error)})", instead)
+        return None
+
+
+def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], level: str = HIGHEST) -> ctypes.CDLL:
+    """The shared library of some C, kept in the cache under the hash of all that it depends on.
+
+    Args:
+        content: what the C depends on.
+        by: the compiler.
+        write: writes the C.
+        level: at which the compiler optimises.
+
+    Raises:
+        OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
+        NotImplementedError: there is no C for it.
+    """
+    key = hashlib.sha256()
+    how = Path(__file__).with_name("compiler.py").read_bytes()
+    for part in (*content, how, " ".join((*by.command, *FLAGS, level)).encode(), by.macros):
+        key.update(hashlib.sha256(part).digest())
+
+    def compiled(place: Path) -> Path:
+        return by.compile(write(), place, level)
+
+    try:
+        return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
+    except OSError as error:
+        notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
+               "folder to which you alone can write")
+    with cache.scratch() as place:
+        return ctypes.CDLL(str(compiled(place)))
+
+
+def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:
+    """The library of this key in a folder that only this user can write; what is there but not whole is made anew.
+
+    The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
+    """
+    names = [name for name in os.listdir(folder) if name.startswith(f"{key}-") and name.endswith(".so")]
+    for entry in sorted(folder / name for name in names):  # pathlib's glob takes ten times as long
+        with suppress(OSError):
+            if hashlib.sha256(cache.read(entry)).hexdigest()[:32] == entry.stem.partition("-")[2]:
+                return ctypes.CDLL(str(entry))
+        with suppress(FileNotFoundError):  # another process found it first
+            entry.unlink()
+    with cache.scratch(folder) as place:
+        built = compiled(place)
+        built.chmod(0o700)  # whatever the umask: only this user may write it
+        digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
+        return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))
