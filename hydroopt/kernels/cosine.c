@@ -13,7 +13,8 @@
 #define SIZE (2 * HALF)
 #define AT(j) ((j) / SIDE * APART + (j) % SIDE)
 #define APART (SIDE + 1) /* from one row of a square to the next: powers of two would share few places in the caches */
-typedef double real __attribute__((vector_size(8 * LANES), aligned(64)));
+typedef double real __attribute__((vector_size(8 * LANES)));
+typedef double loose __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 typedef struct { real re, im; } pair;
 typedef struct { double re, im; } number;
 
@@ -79,47 +80,113 @@ long cosine_table(double *made)
     return 2 * (SIDE + HALF + HALF / 2 + 1 + HALF + 1);
 }
 
+#ifdef __has_builtin
+#if __has_builtin(__builtin_shufflevector)
+#define SWAPPED(a, b, first, second) { const real low = first(a, b); b = second(a, b), a = low; }
+#define PICK(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#endif
+#endif
+#if LANES == 8
+#define EVEN(a, b) PICK(a, b, 0, 8, 2, 10, 4, 12, 6, 14)
+#define ODD(a, b) PICK(a, b, 1, 9, 3, 11, 5, 13, 7, 15)
+#define PAIRS(a, b) PICK(a, b, 0, 1, 8, 9, 4, 5, 12, 13)
+#define OTHERS(a, b) PICK(a, b, 2, 3, 10, 11, 6, 7, 14, 15)
+#define FIRST(a, b) PICK(a, b, 0, 1, 2, 3, 8, 9, 10, 11)
+#define SECOND(a, b) PICK(a, b, 4, 5, 6, 7, 12, 13, 14, 15)
+#elif LANES == 4
+#define EVEN(a, b) PICK(a, b, 0, 4, 2, 6)
+#define ODD(a, b) PICK(a, b, 1, 5, 3, 7)
+#define PAIRS(a, b) PICK(a, b, 0, 1, 4, 5)
+#define OTHERS(a, b) PICK(a, b, 2, 3, 6, 7)
+#else
+#define EVEN(a, b) PICK(a, b, 0, 2)
+#define ODD(a, b) PICK(a, b, 1, 3)
+#endif
+
+/* Rows of a square as its columns, in place. */
+static inline void turned(real *a)
+{
+#ifdef SWAPPED
+    for (int i = 0; i < LANES; i += 2) SWAPPED(a[i], a[i + 1], EVEN, ODD)
+#if LANES > 2
+    for (int i = 0; i < LANES; i++) if (!(i & 2)) SWAPPED(a[i], a[i + 2], PAIRS, OTHERS)
+#endif
+#if LANES > 4
+    for (int i = 0; i < 4; i++) SWAPPED(a[i], a[i + 4], FIRST, SECOND)
+#endif
+#else
+    for (int i = 0; i < LANES; i++)
+        for (int j = 0; j < i; j++) {
+            const double x = a[i][j];
+            a[i][j] = a[j][i], a[j][i] = x;
+        }
+#endif
+}
+
 static inline void put(double *const *row, long k, real value)
 {
     for (int l = 0; l < LANES; l++) row[l][k] = value[l];
 }
 
-/* Coefficients k and SIZE - k from the Fourier transform V of place k. */
-static inline void keep(double *const *row, long k, pair V, const number *twist)
+/* Coefficients k and, negative, SIZE - k; and the same of HALF - k. Place c + 64 d of the Fourier transform is at
+   64 c + d. */
+static inline void coefficients(const pair *z, long k, const number *apart, const number *twist, pair *own, pair *other)
 {
-    const pair turned = times(V, twist[k]);
-    put(row, k, turned.re);
-    if (k && k < HALF) put(row, SIZE - k, -turned.im);
+    const long m = (HALF - k) % HALF;
+    const pair a = z[APART * (k % SIDE) + k / SIDE], b = z[APART * (m % SIDE) + m / SIDE];
+    const pair even = {0.5 * (a.re + b.re), 0.5 * (a.im - b.im)};
+    const pair odd = times((pair){0.5 * (a.im + b.im), 0.5 * (b.re - a.re)}, apart[k]);
+    const pair rest = minus(even, odd);
+    *own = times(plus(even, odd), twist[k]), *other = times((pair){rest.re, -rest.im}, twist[HALF - k]);
 }
 
-/* `rows` rows of SIZE numbers, `step` from one to the next, in place. `work`, on a multiple of 64 bytes,
-   has room for a square of pairs, and for a row that lanes share for which none is left. */
+/* `rows` rows of SIZE numbers, `step` from one to the next, in place; those that are not `taken` count as 0, where it is
+   stated. `work`, on a multiple of 64 bytes, has room for a square of pairs, and for a row that lanes share for which
+   none is left. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
-void cosine(long rows, double *first, long step, const double *table, double *work)
+void cosine(long rows, double *first, long step, const char *taken, const double *table, double *work)
 {
+    enum { TOGETHER = LANES > 4 ? LANES : 4 };
     const number *w = (const number *)table, *turn = w + SIDE, *apart = turn + HALF, *twist = apart + HALF / 2 + 1;
-    pair *z = (pair *)work;
+    pair *z = (pair *)work, own, other;
     for (long at = 0; at < rows; at += LANES) {
         double *row[LANES];
         for (long l = 0; l < LANES; l++) row[l] = at + l < rows ? first + (at + l) * step : work + 2 * APART * SIDE * LANES;
-        for (long j = 0; j < HALF / 2; j++)
-            for (int l = 0; l < LANES; l++) {
-                z[AT(j)].re[l] = row[l][4 * j], z[AT(j)].im[l] = row[l][4 * j + 2];
-                z[AT(HALF - 1 - j)].re[l] = row[l][4 * j + 3], z[AT(HALF - 1 - j)].im[l] = row[l][4 * j + 1];
+        for (long i = 0; i < SIZE; i += TOGETHER) {
+            real x[TOGETHER];
+            for (int c = 0; c < TOGETHER; c += LANES) {
+                for (int l = 0; l < LANES; l++) x[c + l] = *(const loose *)(row[l] + i + c);
+                turned(x + c);
             }
+            for (int c = 0; c < TOGETHER; c++) if (taken && !taken[i + c]) x[c] = (real){0};
+            for (int c = 0; c < TOGETHER; c += 4) {
+                const long j = (i + c) / 4, k = HALF - 1 - j;
+                z[AT(j)] = (pair){x[c], x[c + 2]}, z[AT(k)] = (pair){x[c + 3], x[c + 1]};
+            }
+        }
         for (long b = 0; b < SIDE; b++) sixty_four(z + b, APART, w, turn + SIDE * b);
         for (long c = 0; c < SIDE; c++) sixty_four(z + APART * c, 1, w, 0);
-        for (long k = 0; k <= HALF / 2; k++) {
-            /* place c + 64 d of the transform is at 64 c + d */
-            const long m = (HALF - k) % HALF;
-            const pair a = z[APART * (k % SIDE) + k / SIDE], b = z[APART * (m % SIDE) + m / SIDE];
-            const pair even = {0.5 * (a.re + b.re), 0.5 * (a.im - b.im)};
-            const pair odd = times((pair){0.5 * (a.im + b.im), 0.5 * (b.re - a.re)}, apart[k]);
-            const pair other = minus(even, odd);
-            keep(row, k, plus(even, odd), twist);
-            if (k < HALF / 2) keep(row, HALF - k, (pair){other.re, -other.im}, twist);
+        for (long k = LANES; k < HALF / 2; k += LANES) {
+            real up[4][LANES];
+            const long begin[] = {k, HALF - k - LANES + 1, HALF + k, SIZE - k - LANES + 1};
+            for (int c = 0; c < LANES; c++) {
+                coefficients(z, k + c, apart, twist, &own, &other);
+                up[0][c] = own.re, up[1][LANES - 1 - c] = other.re, up[2][c] = -other.im, up[3][LANES - 1 - c] = -own.im;
+            }
+            for (int part = 0; part < 4; part++) {
+                turned(up[part]);
+                for (int l = 0; l < LANES; l++) *(loose *)(row[l] + begin[part]) = up[part][l];
+            }
+        }
+        for (long n = 0; n <= LANES; n++) { /* those at the ends */
+            const long k = n < LANES ? n : HALF / 2;
+            coefficients(z, k, apart, twist, &own, &other);
+            put(row, k, own.re);
+            if (k) put(row, SIZE - k, -own.im);
+            if (k < HALF / 2) put(row, HALF - k, other.re);
+            if (k && k < HALF / 2) put(row, HALF + k, -other.im);
         }
     }
 }

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt import spectra
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
@@ -18,27 +19,30 @@ WORK = LANES * (SIZE + 2**7) + SIZE
 WHAT = "cosine.c", "the cosine transform", "NumPy computes it, more slowly"
 
 
-def cosine_transform(rows: Array) -> Array:
-    """Orthonormal cosine transform, type II, of rows (k, n) in place; in C of `SIZE` samples.
+def cosine_transform(rows: Array, taken: NDArray[np.bool_] | None = None) -> Array:
+    """Orthonormal cosine transform, type II, of rows (k, n) in place, of which samples that are not `taken` (n,) count
+    as 0; in C of `SIZE` samples.
 
     >>> cosine_transform(np.ones((1, SIZE))).round(9)[0, :2].tolist()
     [90.509667992, 0.0]
     """
-    if rows.shape[-1] != SIZE or rows.ndim != 2 or rows.strides[1] != rows.itemsize:
-        return spectra.cosine_transform(rows)
-    run = _compiled()
+    run = _compiled() if rows.shape[1] == SIZE and rows.strides[1] == rows.itemsize else None
     if run is None:
+        if taken is not None:
+            rows[:, np.flatnonzero(~taken)] = 0.0
         return spectra.cosine_transform(rows)
     work = np.empty(WORK + LANES)
     work = work[-(work.ctypes.data // work.itemsize) % LANES :]  # from a cache line on
-    run(len(rows), rows.ctypes.data, rows.strides[0] // rows.itemsize, _table().ctypes.data, work.ctypes.data)
+    some = None if taken is None else np.ascontiguousarray(taken, dtype=bool)
+    run(len(rows), rows.ctypes.data, rows.strides[0] // rows.itemsize, None if some is None else some.ctypes.data,
+        _table().ctypes.data, work.ctypes.data)
     return rows
 
 
 @cache
 def _compiled() -> Callable[..., None] | None:
     library = of_file(*WHAT)
-    return None if library is None else routine(library, "cosine", COUNT, ADDRESS, COUNT, ADDRESS, ADDRESS)
+    return None if library is None else routine(library, "cosine", COUNT, ADDRESS, COUNT, *[ADDRESS] * 3)
 
 
 @cache

@@ -20,7 +20,7 @@
 #define ROWS 128 /* at a time */
 #define TRIANGLE (-1)
 /* HOLD(x) keeps x in a register: gcc would read it again from memory for each product. */
-typedef double real __attribute__((vector_size(8 * LANES), aligned(64), may_alias));
+typedef double real __attribute__((vector_size(8 * LANES), may_alias));
 typedef double pair __attribute__((vector_size(16)));
 typedef double four __attribute__((vector_size(8 * PANEL), aligned(8), may_alias));
 

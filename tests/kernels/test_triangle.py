@@ -4,17 +4,6 @@ import numpy as np
 import pytest
 
 from hydroopt.kernels import triangle
-from hydroopt.kernels.compiler import compiler
-
-WITHOUT = pytest.mark.skipif(compiler() is None, reason="no C compiler")
-
-
-@pytest.fixture(params=[pytest.param(True, marks=WITHOUT), False])
-def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not request.param:
-        monkeypatch.setattr(triangle, "_compiled", lambda: None)
-    else:
-        assert triangle._compiled() is not None
 
 
 def signed(R: np.ndarray) -> np.ndarray:
@@ -28,7 +17,7 @@ def folded(*blocks: np.ndarray) -> np.ndarray:
     return made[0]
 
 
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("vectors")
 @pytest.mark.parametrize("columns", [1, 4, 7, 48])
 @pytest.mark.parametrize("rows", [1, 3, 50, 129, 1000])
 def test_triangles_are_those_of_numpy_in_any_layout(rows: int, columns: int) -> None:
@@ -45,7 +34,7 @@ def test_triangles_are_those_of_numpy_in_any_layout(rows: int, columns: int) -> 
         np.testing.assert_allclose(signed(R / size), signed(np.linalg.qr(stacked / size, mode="r")), rtol=0, atol=1e-12)
 
 
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("vectors")
 def test_small_directions_keep_their_size_beside_large_ones() -> None:
     # the products of the columns would have lost what is 1e-9 of them
     rng = np.random.default_rng(1)
@@ -56,7 +45,7 @@ def test_small_directions_keep_their_size_beside_large_ones() -> None:
     assert R[8, 8] == pytest.approx(signed(np.linalg.qr(rows, mode="r"))[8, 8], rel=1e-5)
 
 
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("vectors")
 def test_bands_at_places_with_columns_of_zeros() -> None:
     rng = np.random.default_rng(2)
     rows = rng.standard_normal((900, 6))
@@ -81,7 +70,7 @@ def test_bands_at_places_with_columns_of_zeros() -> None:
     assert not one.empty
 
 
-@pytest.mark.usefixtures("compiled")
+@pytest.mark.usefixtures("vectors")
 def test_what_is_no_number_is_not_lost() -> None:
     rows = np.random.default_rng(3).standard_normal((400, 5))
     rows[77, 2] = np.nan

@@ -75,13 +75,12 @@ class ActuatorBands:
             here = taken[:, i]
             if not np.any(here):
                 continue
-            block[:, np.flatnonzero(~here)] = 0.0
-            self.forces[i] += np.sum(block[-1])
+            self.forces[i] += np.sum(block[-1, here])
             self.samples[i] += np.sum(here)
             self.counts[i] += np.diff(edges) * np.mean(here)
             contrast = np.where(later, 1.0, -1.0) * (self._repeated(i).T @ block[:-1]) if folded is self.across else ()
-            turned = cosine_transform(np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block).T
-            folded[i].fold(turned, edges)
+            whole = np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block
+            folded[i].fold(cosine_transform(whole, here).T, edges)
 
     def _repeated(self, actuator: int) -> Array:
         """(k, m) what makes the columns that C repeats of the kept ones."""

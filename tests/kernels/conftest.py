@@ -1,0 +1,32 @@
+"""The ways in which compiled kernels may have been made."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from collections.abc import Iterator
+
+import pytest
+
+from hydroopt.kernels import compiler, cosine, shared_library, triangle
+
+
+@pytest.fixture(params=[None, "", "-mno-avx512f", "-mno-avx"])
+def vectors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No compiler, and one that makes code for the longest vectors, for those of four and of two numbers."""
+    if request.param is not None and shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    if request.param and platform.machine() != "x86_64":
+        pytest.skip("an option of other processors")
+    kept = (compiler.compiler, shared_library.of_file, cosine._compiled, cosine._table, triangle._compiled)
+    for each in kept:
+        each.cache_clear()
+    if request.param is None:
+        monkeypatch.setattr(shared_library, "compiler", lambda: None)
+    elif request.param:
+        monkeypatch.setenv("CC", f"cc {request.param}")
+    made = [shared_library.of_file(name, name, "this test fails") is not None for name in ("cosine.c", "triangle.c")]
+    assert made == [request.param is not None] * 2
+    yield
+    for each in kept:
+        each.cache_clear()
