@@ -70,7 +70,7 @@ def student_quantile(freedom: NDArray[np.float64]) -> NDArray[np.float64]:
     >>> student_quantile(np.array([3.0, 1e12])).round(6).tolist()
     [3.182446, 1.959964]
     """
-    z, n = NORMAL, np.maximum(np.asarray(freedom, dtype=float), 1e-3)
+    z, n = NORMAL, np.maximum(np.asarray(freedom, dtype=float), 0.02)
     found = z + (z**3 + z) / (4 * n) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * n**2) + (
         3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * n**3) + (
         79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * n**4)
@@ -87,7 +87,7 @@ def _student(n: float, t: float) -> float:
         tail = _beta(n / 2, 0.5, n, t * t) / 2
         step = log(tail / 0.025) * tail / (t * size * (1 + t * t / n) ** (-(n + 1) / 2))
         t *= exp(step)
-        if abs(step) < 1e-12:
+        if abs(step) < 1e-6:  # what is left is of the size of its square
             break
     return t
 
