@@ -11,8 +11,8 @@ import numpy as np
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, of_file, routine
 from hydroopt.spatial.inertia import Array
 
-TILE = 8
-"""Number of samples that the C takes at a time."""
+TILE, MINORS = 8, 42
+"""Of marginals.c: samples that it takes at a time, and numbers that it keeps of a matrix."""
 
 
 def marginals(slack: Array, along: Array, at: Array, matrices: int, tail: float) -> Array | None:
@@ -34,7 +34,7 @@ def marginals(slack: Array, along: Array, at: Array, matrices: int, tail: float)
     assert along.shape == (sums, rows)
     assert at.shape == (sums, samples)
     held = [np.ascontiguousarray(each, dtype=float) for each in (slack, along, at)]
-    work, found = np.empty(2 * sums * samples + 10 * TILE * matrices), np.empty((sums, 4))
+    work, found = np.empty(2 * sums * samples + MINORS * matrices * (sums + TILE) + 10 * matrices), np.empty((sums, 4))
     run(samples, matrices, rows - 10 * matrices, sums, tail, *(each.ctypes.data for each in (*held, work, found)))
     return found
 
