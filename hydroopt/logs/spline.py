@@ -21,7 +21,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from hydroopt.bounded_minimum import bounded_minimum
-from hydroopt.kernels import windows
+from hydroopt.kernels import wide_windows, windows
 from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
 
@@ -160,17 +160,17 @@ class Pieces:
     def _best(self, values: Sequence[Array], noise: float | None) -> float:
         """log10 λ of least estimated risk."""
         n = sum(y.size for y in values)
-        own = [basis.design.gathered(y)[:, None] for basis, y in zip(self.bases, values, strict=True)]
+        own = [basis.design.gathered(y) for basis, y in zip(self.bases, values, strict=True)]
 
         def risk(log_weight: float) -> float:
             known, rss, freedom = log_weight in self._freedom, 0.0, 0.0
             for basis, y, right, probes in zip(self.bases, values, own, self._probes, strict=True):
                 try:
-                    c = basis.solve(Filter(log_weight), right if known else np.hstack([right, probes]))
+                    factor = basis.factor(Filter(log_weight))
                 except LinAlgError:
                     return np.inf
-                rss += float(np.sum((y - basis.design @ c[:, 0]) ** 2))
-                freedom += 0.0 if known else float(np.sum(probes * c[:, 1:])) / _PROBES
+                rss += float(np.sum((y - basis.design @ cholesky_solved(factor, right)) ** 2))
+                freedom += 0.0 if known else float(np.sum(wide_windows.forward(factor, probes) ** 2)) / _PROBES
             freedom = self._freedom.setdefault(log_weight, freedom)
             if noise is not None:
                 return rss / n + 2 * noise**2 * freedom / n
@@ -261,9 +261,17 @@ class Basis:
                 return made
         return np.array([(self.derivative(self.x, order) @ coefficients) / self.spacing**order for order in range(3)])
 
+    def factor(self, chosen: Filter) -> Array:
+        """Cholesky factor of the penalised normal equations, in band storage.
+
+        Raises:
+            LinAlgError: rounding errors make their matrix singular.
+        """
+        return banded_cholesky(self.gram + 10.0**chosen.log_weight * self.penalty)
+
     def solve(self, chosen: Filter, right: Array) -> Array:
         """Coefficients of the penalised normal equations, then of those of what each smoothing leaves."""
-        factor = banded_cholesky(self.gram + 10.0**chosen.log_weight * self.penalty)
+        factor = self.factor(chosen)
         coefficients = cholesky_solved(factor, right)
         for _ in range(chosen.passes - 1):
             left = right - self.design.gathered(self.design @ coefficients)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.kernels import windows
+from hydroopt.kernels import wide_windows, windows
 
 Array = NDArray[np.float64]
 FEWER = 8
 """Windows for each column of samples below which products are computed window by window, not column by column."""
 
-COMPILED, MOST = 2048, 16
+COMPILED, MOST = 256, 16
 """Rows from which on, and columns of samples up to which, products are computed in C."""
 
 
@@ -46,6 +46,9 @@ class WindowedRows:
         """Products (m, ...) of the transpose with samples (N, ...), row by row in the order of their windows."""
         if (run := self._compiled(samples)) is not None:
             return run.gathered(samples.reshape(len(samples), -1)).reshape(-1, *samples.shape[1:])
+        if samples.ndim == 2 and (found := wide_windows.gathered(self.values, self.first, self.columns,
+                                                                 samples)) is not None:
+            return found
         made = np.zeros((self.columns, *samples.shape[1:]))
         if samples.ndim > 1 and FEWER * made[0].size > len(self._starts):
             width, edges = self.values.shape[1], np.append(self._starts, len(samples)).tolist()
@@ -86,6 +89,8 @@ class WindowedRows:
         """The product (m, m) of the transpose with these rows, in lower band storage (w, m)."""
         if (run := self._compiled(self.values)) is not None:
             return run.gram()
+        if (found := wide_windows.gram(self.values, self.first, self.columns)) is not None:
+            return found
         width = self.values.shape[1]
         made, at = np.zeros((width, self.columns)), self.first[self._starts]
         turned = np.ascontiguousarray(self.values.T)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.lapack import banded_cholesky, banded_forward
+from hydroopt.kernels import wide_windows
+from hydroopt.lapack import banded_cholesky
 from hydroopt.logs.spline import Basis, Grid
 from hydroopt.logs.windowed_rows import WindowedRows
 from hydroopt.spatial.inertia import Array
@@ -73,10 +74,14 @@ class ErrorCovariance:
             rows = np.flatnonzero(np.nonzero(self.taken)[1] == reading)
             scaled = columns[self.taken[:, reading]] / self.size[rows, None]
             own = WindowedRows(self._sensitivity.values[rows], self._sensitivity.first[rows], self._sensitivity.columns)
-            return Whitened(scaled, banded_forward(self._factor, own.gathered(scaled)), rows)
+            return Whitened(scaled, self._seen(own, scaled), rows)
         chosen = columns[self.taken] if columns.ndim == 3 else columns
         scaled = chosen / self.size[:, None]
-        return Whitened(scaled, banded_forward(self._factor, self._sensitivity.gathered(scaled)))
+        return Whitened(scaled, self._seen(self._sensitivity, scaled))
+
+    def _seen(self, sensitivity: WindowedRows, scaled: Array) -> Array:
+        """What columns (rows, c) over their noise say of the motion's errors, in coordinates of unit variance."""
+        return wide_windows.forward(self._factor, sensitivity.gathered(scaled))
 
     def _rows(self, basis: Basis, by_motion: Array) -> WindowedRows:
         """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""
