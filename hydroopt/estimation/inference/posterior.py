@@ -102,7 +102,8 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     Args:
         problem: priors, bounds and constraints.
         R: (p, p) and r (p,): weighted residuals ``‖R·ψ − r‖²``.
-        psi: (p,) the constrained estimate, from which the chains start.
+        psi: (p,) the constrained estimate, near which the search for possible parameters begins where the nominal ones
+            are not.
         consistent: whether bodies must be possible.
         seed: of the random numbers.
     """
@@ -114,18 +115,8 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     if gaussian is None:
         return None
     inequalities = _Inequalities(problem, gaussian, user, conditions, Interior.of(len(gaussian.slope.T)))
-    scale = problem.parameters.scale
-    # the start in the Gaussian's coordinates; what leaves the equalities is dropped
-    slope, target = gaussian.slope / scale[:, None], (psi - gaussian.offset) / scale
-    start = np.linalg.lstsq(slope, target, rcond=None)[0].astype(float)
-    for distance in (1e-1, 1e-2, 1e-3):
-        inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
-        if inner is None:
-            continue
-        inner = user.inwards(inner, gaussian, distance)
-        if inequalities.possible(inner):
-            break
-    else:
+    inner = _possible_point(problem, gaussian, user, inequalities, psi, consistent=consistent)
+    if inner is None:
         return None
     inside = interior(inner, gaussian.root, gaussian.right, inequalities.matrices, inequalities.single)
     rng = np.random.default_rng(seed)
@@ -158,6 +149,24 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     # not the more exact means one by one: each has its own error, and sums are known far better than parts
     possible = chains.inequalities.possible(np.mean(states, axis=(0, 2)))
     return Posterior(drawn, own, samples.mean(axis=0) if possible else None, note, settled)
+
+
+def _possible_point(problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
+                    inequalities: _Inequalities, psi: Array, *, consistent: bool) -> Array | None:
+    """A point z (k,) inside: the nominal parameters, a little away from bounds, or else one near the estimate ψ."""
+    parameters = problem.parameters
+    away = np.minimum(0.1 * parameters.scale, 0.25 * (parameters.upper - parameters.lower))
+    nominal = np.clip(parameters.nominal, parameters.lower + away, parameters.upper - away)
+    # in the Gaussian's coordinates; what leaves the equalities is dropped
+    slope, offset = gaussian.slope / parameters.scale[:, None], gaussian.offset
+    stated, start = np.linalg.lstsq(slope, ((np.stack([nominal, psi]) - offset) / parameters.scale).T, rcond=None)[0].T
+    if inequalities.possible(stated):
+        return np.asarray(stated)
+    for distance in (1e-1, 1e-2, 1e-3):
+        inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
+        if inner is not None and inequalities.possible(inner := user.inwards(inner, gaussian, distance)):
+            return inner
+    return None
 
 
 @dataclass(frozen=True, eq=False)
