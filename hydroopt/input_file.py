@@ -8,7 +8,9 @@ import os
 import re
 import stat
 import tomllib
+from copy import deepcopy
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,13 +87,19 @@ def toml(text: str, kind: type[HydrooptError], *, where: str) -> dict[str, Any]:
     if _DEEP_KEY.search(text):
         raise kind(f"a key has {LEVELS} or more parts", where=where, remedy="correct it")
     try:
-        data = tomllib.loads(text)
+        data = deepcopy(_parsed(text))
     except RecursionError:
         raise kind(f"tables lie more than {LEVELS} deep in each other", where=where, remedy="correct them") from None
     except ValueError as error:  # bad TOML, or an integer of thousands of digits
         raise kind(f"is not valid TOML ({error})", where=where, remedy="correct that line") from None
     _refuse_absurd(data, kind, where)
     return data
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> dict[str, Any]:
+    """The tables of a text, kept since a machine file is read again and again."""
+    return tomllib.loads(text)
 
 
 def read_json(path: str | Path, kind: type[HydrooptError]) -> dict[str, Any]:

@@ -155,3 +155,36 @@ def singular_values(matrix: Array, *, full: bool = True) -> tuple[Array, Array, 
     if info:
         raise LinAlgError("the singular values did not converge")
     return np.asarray(left), np.asarray(sizes), np.asarray(right)
+
+
+def inverse_of_positive(matrix: Array) -> Array:
+    """The inverse of a positive definite matrix (n, n), by its Cholesky factor.
+
+    Raises:
+        LinAlgError: the matrix is not positive definite.
+
+    >>> inverse_of_positive(np.array([[2.0, 0.0], [0.0, 4.0]])).tolist()
+    [[0.5, 0.0], [0.0, 0.25]]
+    """
+    factor, info = routines.dpotrf(np.asarray_chkfinite(matrix), lower=0, clean=1)
+    if info:
+        raise LinAlgError(f"the leading minor of order {info} is not positive definite")
+    made = np.asarray(routines.dpotri(factor, lower=0, overwrite_c=1)[0])
+    made += made.T  # below the diagonal there was nothing
+    made[np.diag_indices(len(made))] /= 2
+    return made
+
+
+def tridiagonal_solved(diagonal: Array, beside: Array, right: Array) -> Array:
+    """x (n,) of a positive definite matrix with this diagonal (n,) and the numbers (n − 1,) on either side of it.
+
+    Raises:
+        LinAlgError: the matrix is not positive definite.
+
+    >>> tridiagonal_solved(np.array([2.0, 2.0]), np.array([1.0]), np.array([4.0, 5.0])).tolist()
+    [1.0, 2.0]
+    """
+    *_, solved, info = routines.dptsv(diagonal, beside if len(beside) else np.zeros(1), np.asarray_chkfinite(right))
+    if info:
+        raise LinAlgError(f"the leading minor of order {info} is not positive definite")
+    return np.asarray(solved)

@@ -55,9 +55,8 @@ def residual_std(problem: ForceProblem, data: CompressedRegressor, tolerance: fl
         return np.asarray(sigma)
     floor = np.maximum(smallest(size), of_angles)
     for _ in range(3):
-        R, r, _ = data.weighted(sigma)
-        psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = np.maximum(data.samples - identifiable.rank / max(1, int(np.count_nonzero(data.samples))), 1.0)
+        psi, rank = least_squares.fitted(*data.weighted(sigma)[:2], tolerance)
+        freedom = np.maximum(data.samples - rank / max(1, int(np.count_nonzero(data.samples))), 1.0)
         estimated = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
         sigma = np.where(data.samples > 0, estimated, sigma)  # as stated for actuators at rest
     return np.asarray(sigma)

@@ -229,8 +229,9 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     sigma, weights = residual_std(problem, data, tolerance, of_angles), None
     if problem.loss != "squares":
         data, sigma, weights, folded = _robust(problem, data, folded, sigma, point, of_angles)
+    mixed = problem.fitted_motion or problem.instruments or problem.correlated
     # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
-    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
+    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if mixed and model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
@@ -259,7 +260,6 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         plain = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
         plain = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
-    mixed = problem.fitted_motion or problem.instruments or problem.correlated
     R, r, rest = plain = split(triangle(_triangle(*plain), *found.holds))
     scores: tuple[ScoreRows, ...] = ()
     if mixed:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from hydroopt import tails
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
+from hydroopt.lapack import inverse_of_positive, tridiagonal_solved
 from hydroopt.spatial.inertia import Array
 
 ROUNDS = 6
@@ -52,6 +53,11 @@ class Channel:
     columns: NDArray[np.intp]
     rows: tuple[Array, ...]
     counts: Array
+
+    @cached_property
+    def triangle(self) -> Array:
+        """R (·, c+1) of a QR of all rows."""
+        return np.asarray(np.linalg.qr(np.vstack(self.rows), mode="r"))
 
 
 class Spectrum(NamedTuple):
@@ -111,8 +117,8 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
     freedom, belief = counts.copy(), 1.0
     # coordinates z in which weighted rows and priors are orthonormal at first, so that products of rows are harmless
     whole = [np.vstack(channel.rows) for channel in channels]
-    stacked = np.vstack([*(_all_columns(np.sqrt(w) * rows[:, :-1], channel.columns, len(scale))
-                           for w, rows, channel in zip(weight, whole, channels, strict=True)), prior[0]])
+    stacked = np.vstack([*(_all_columns(np.sqrt(w) * channel.triangle[:, :-1], channel.columns, len(scale))
+                           for w, channel in zip(weight, channels, strict=True)), prior[0]])
     _, singular, axes = np.linalg.svd(np.linalg.qr(stacked * scale, mode="r"), full_matrices=False)
     known = singular > ROUNDING_TOLERANCE * singular[0]
     base = scale[:, None] * axes[known].T / singular[known]
@@ -131,7 +137,7 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
             share[k] = _share(float(z @ products[k].sum(axis=0).reshape(PP.shape) @ z), float(z @ one @ z))
         z = np.linalg.lstsq(P, prior[1], rcond=None)[0]
     for _ in range(ROUNDS):
-        inverse = np.linalg.inv((weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP)
+        inverse = inverse_of_positive((weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP)
         unshrunk = sum((share[k] * weight[k] * one @ z for k, one in added.items()), np.zeros(len(PP)))
         z = inverse @ (weight @ sides + unshrunk + belief * P.T @ prior[1])
         squares = np.array([np.bincount(of, (rows @ z - block[:, -1]) ** 2, counts.shape[1])
@@ -200,7 +206,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
     if not np.any(channel.counts):
         return ScoreRows(np.zeros((0, len(scale))), np.zeros(0), 0.0, np.zeros(0))
     own, w = scale[channel.columns], spectrum.weight
-    R = np.sqrt(w) * np.linalg.qr(np.vstack(channel.rows), mode="r")
+    R = np.sqrt(w) * channel.triangle
     left, singular, axes = np.linalg.svd(R[: len(own), :-1] * own, full_matrices=False)
     value = left.T @ R[: len(own), -1]
     sound = singular > FAINT * singular[0]
@@ -233,23 +239,20 @@ def students(freedom: Array) -> Array:
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
     """Most probable variances (n, B) of neighbouring bands and their freedom, from estimates with their own freedom."""
     coupling = _coupling(estimate.shape[1])
-    diagonal = np.arange(estimate.shape[1])
+    own, beside = np.diag(coupling) + 1e-9, np.tile(np.append(np.diag(coupling, 1), 0.0), len(estimate))[:-1]
     total = np.sum(freedom, axis=1, keepdims=True)
     mean = np.where(total > 0, np.sum(freedom * estimate, axis=1, keepdims=True) / np.where(total > 0, total, 1.0), 1.0)
-    x = np.zeros_like(estimate)
-    sound = mean > 0
+    x, half = np.zeros_like(estimate), freedom / 2
+    sound, shown = mean > 0, half * estimate / np.where(mean > 0, mean, 1.0)
     for _ in range(30):
-        ratio = estimate / np.where(sound, mean, 1.0) * np.exp(-x)
-        slope = freedom / 2 * (1 - ratio) + x @ coupling
-        bent = np.repeat(coupling[None], len(x), axis=0)
-        bent[:, diagonal, diagonal] += freedom / 2 * np.maximum(ratio, 0.1) + 1e-9
-        step = np.linalg.solve(bent, -slope[:, :, None])[:, :, 0]
-        x += np.clip(step, -1, 1)
+        expected = shown * np.exp(-x)
+        slope = half - expected + x @ coupling
+        bent = own + np.maximum(expected, 0.1 * half)
+        step = tridiagonal_solved(bent.ravel(), beside, slope.ravel()).reshape(x.shape)
+        x -= np.minimum(np.maximum(step, -1), 1)
         if np.abs(step[sound[:, 0]]).max(initial=0.0) < 1e-6:
             break
-    bent[:] = coupling
-    bent[:, diagonal, diagonal] += freedom / 2 + 1e-9
-    spread = np.diagonal(np.linalg.inv(bent), axis1=1, axis2=2)
+    spread = np.diagonal(np.linalg.inv(coupling + (half + 1e-9)[:, :, None] * np.eye(len(coupling))), 0, 1, 2)
     return np.where(sound, mean * np.exp(x), estimate), np.where(sound, 2 / spread, freedom)
 
 

@@ -6,7 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability, analyse, significant
+from hydroopt.estimation.inference.identifiability import (
+    RANK_TOLERANCE,
+    ROUNDING_TOLERANCE,
+    Identifiability,
+    analyse,
+    significant,
+)
 from hydroopt.lapack import singular_values
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -32,6 +38,14 @@ def base_least_squares(R: Array, r: Array, names: tuple[str, ...],
     psi[basis] = np.linalg.solve(T, Q.T @ r) / scale if basis else 0.0
     inverse = np.linalg.inv(T) / scale[:, None] if basis else np.zeros((0, 0))
     return psi, inverse @ inverse.T, found
+
+
+def fitted(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
+    """ψ (p,) that predicts what base parameters predict, and their number, where no more is asked of them."""
+    size = np.linalg.norm(R, axis=0)
+    size[~significant(size, ROUNDING_TOLERANCE)] = np.inf
+    found, _, rank, _ = np.linalg.lstsq(R / size, r, rcond=tolerance)
+    return found / size, int(rank)
 
 
 def individual_values(psi: Array, covariance: Array, found: Identifiability) -> tuple[Array, Array]:

@@ -101,7 +101,13 @@ class View:
         """Predicted readings (N, c) of a motion (N, n) at ψ."""
         motion = replace(self.motion, q=q, qd=qd, qdd=qdd)
         force = replace(self.experiment, motion=motion).predicted(self.psi)
-        return np.column_stack([force, self._lengths(q)]) if self.lengths else force
+        if not self.lengths:
+            return force
+        return np.column_stack([force, self._own_lengths if q is self.motion.q else self._lengths(q)])
+
+    @cached_property
+    def _own_lengths(self) -> Array:
+        return self._lengths(self.motion.q)
 
     def _lengths(self, q: Array) -> Array:
         made = self.model.over(self.model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
