@@ -1,4 +1,4 @@
-/* R of a QR of many rows: as many of them as the first cache holds at a time are reflected into the triangle of all
+/* R of a QR of many rows: as many of them as the second cache holds at a time are reflected into the triangle of all
    before, PANEL reflections together (Schreiber and Van Loan 1989). */
 #include <math.h>
 #include <string.h>
@@ -16,20 +16,47 @@
 #else
 #define HOLD(x)
 #endif
-#define PANEL 4
-#define ROWS 128 /* at a time */
-#define TRIANGLE (-1)
 /* HOLD(x) keeps x in a register: gcc would read it again from memory for each product. */
+#ifdef __has_builtin
+#if __has_builtin(__builtin_shufflevector)
+#define PICK(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#endif
+#endif
+#if LANES == 8
+#define EVEN 0, 8, 2, 10, 4, 12, 6, 14
+#define ODD 1, 9, 3, 11, 5, 13, 7, 15
+#elif LANES == 4
+#define EVEN 0, 4, 2, 6
+#define ODD 1, 5, 3, 7
+#else
+#define EVEN 0, 2
+#define ODD 1, 3
+#endif
+#define PANEL 4
+#define ROWS 376 /* at a time, an odd number of cache lines: powers of two would share few places in the caches */
+#define TRIANGLE (-1)
 typedef double real __attribute__((vector_size(8 * LANES), may_alias));
-typedef double pair __attribute__((vector_size(16)));
 typedef double four __attribute__((vector_size(8 * PANEL), aligned(8), may_alias));
 
-static inline double sum(real a)
+/* Sums of PANEL vectors. */
+static inline four sums(const real *a)
 {
-    union { real whole; pair part[LANES / 2]; } u = {a};
-    pair s = u.part[0];
-    for (int k = 1; k < LANES / 2; k++) s += u.part[k];
-    return s[0] + s[1];
+#ifdef PICK
+    real x = PICK(a[0], a[1], EVEN) + PICK(a[0], a[1], ODD), y = PICK(a[2], a[3], EVEN) + PICK(a[2], a[3], ODD);
+#if LANES == 8
+    const four u = PICK(x, x, 0, 1, 2, 3) + PICK(x, x, 4, 5, 6, 7), v = PICK(y, y, 0, 1, 2, 3) + PICK(y, y, 4, 5, 6, 7);
+    return PICK(u, v, 0, 1, 4, 5) + PICK(u, v, 2, 3, 6, 7);
+#elif LANES == 4
+    return PICK(x, y, 0, 1, 4, 5) + PICK(x, y, 2, 3, 6, 7);
+#else
+    return PICK(x, y, 0, 1, 2, 3);
+#endif
+#else
+    four made = {0};
+    for (int c = 0; c < PANEL; c++)
+        for (int l = 0; l < LANES; l++) made[c] += a[c][l];
+    return made;
+#endif
 }
 
 /* Reflects `m` vectors of rows of each column, one column ROWS / LANES vectors after the other, into the triangle R,
@@ -39,24 +66,28 @@ static void reflected(long width, double *R, long m, real *columns)
     enum { NEXT = ROWS / LANES };
     for (long j = 0; j < width; j += PANEL) {
         real *v = columns + j * NEXT;
-        double size[PANEL], product[PANEL][PANEL];
+        double size[PANEL], scale[PANEL], product[PANEL][PANEL];
+        real s[PANEL] = {0};
+        for (long i = 0; i < m; i++)
+            for (int q = 0; q < PANEL; q++) s[q] += v[i] * v[q * NEXT + i];
+#pragma GCC unroll 4
         for (int p = 0; p < PANEL; p++) {
-            double *row = R + (j + p) * width + j, with[PANEL];
-            real *own = v + p * NEXT, s[PANEL] = {0};
-            for (long i = 0; i < m; i++)
-                for (int q = 0; q < PANEL; q++) s[q] += own[i] * v[q * NEXT + i];
-            for (int q = 0; q < PANEL; q++) with[q] = sum(s[q]);
+            double *row = R + (j + p) * width + j;
+            const four with = sums(s);
             const double below = with[p], head = row[p];
             const double norm = head > 0 ? -sqrt(head * head + below) : sqrt(head * head + below);
-            const double scale = below != 0 ? 1 / (head - norm) : 0;
-            size[p] = below != 0 ? (norm - head) / norm : 0;
-            for (int q = 0; q < p; q++) product[q][p] = scale * with[q];
+            scale[p] = below != 0 ? 1 / (head - norm) : 0, size[p] = below != 0 ? (norm - head) / norm : 0;
+            for (int q = 0; q < p; q++) product[q][p] = scale[q] * scale[p] * with[q];
             double w[PANEL] = {0};
-            for (int q = p + 1; q < PANEL; q++) w[q] = size[p] * (row[q] + scale * with[q]), row[q] -= w[q];
+            for (int q = p + 1; q < PANEL; q++) w[q] = size[p] * (row[q] + scale[p] * with[q]), row[q] -= w[q];
             if (below != 0) row[p] = norm;
+            if (p + 1 == PANEL) break;
+            for (int q = 0; q < PANEL; q++) w[q] *= scale[p], s[q] = (real){0};
             for (long i = 0; i < m; i++) {
-                own[i] *= scale;
-                for (int q = p + 1; q < PANEL; q++) v[q * NEXT + i] -= w[q] * own[i];
+                real a[PANEL];
+                for (int q = 0; q < PANEL; q++) a[q] = v[q * NEXT + i];
+                for (int q = p + 1; q < PANEL; q++) v[q * NEXT + i] = a[q] -= w[q] * a[p];
+                for (int q = 0; q < PANEL; q++) s[q] += a[p + 1] * a[q];
             }
         }
         for (long l = j + PANEL; l < width; l += PANEL) {
@@ -76,11 +107,11 @@ static void reflected(long width, double *R, long m, real *columns)
             }
             for (int p = 0; p < PANEL; p++) {
                 four *at = (four *)(R + (j + p) * width + l);
-                y[p] = *at;
-                for (int c = 0; c < PANEL; c++) y[p][c] += sum(s[p][c]);
+                y[p] = *at + scale[p] * sums(s[p]);
                 for (int q = 0; q < p; q++) y[p] -= product[q][p] * y[q];
                 y[p] *= size[p], *at -= y[p];
             }
+            for (int p = 0; p < PANEL; p++) y[p] *= scale[p];
             for (long i = 0; i < m; i++) {
                 real left[PANEL];
                 for (int c = 0; c < PANEL; c++) left[c] = a[c * NEXT + i];

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
 from hydroopt.spatial.inertia import Array
 
-PANEL, ROWS, LANES = 4, 128, 8
+PANEL, ROWS, LANES = 4, 376, 8
 """Of triangle.c: columns reflected together, rows at a time, and numbers in a register at most."""
 TRIANGLE = -1
 """Number of waiting rows where they are a triangle."""
