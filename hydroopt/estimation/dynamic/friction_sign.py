@@ -9,10 +9,12 @@ length counts like the position of a joint.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.kernels.phases import PARTS, phases
 from hydroopt.logs.smoothing import STANDSTILL, Motion
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.parameter_kind import ParameterKind
@@ -28,12 +30,9 @@ FEW_MOVING = 0.01
 """A joint that moves in less than this part of the samples counts as standing still, since noise has the same
 effect."""
 
-WINDOW, PARTS, SAME = 1.0, 4, 5.0
-"""A joint is calm where it is slow throughout this time [s]. It is at rest where the mean measured positions of so many
+WINDOW, SAME = 1.0, 5.0
+"""A joint is calm where it is slow throughout this time [s]. It is at rest where the mean measured positions of `PARTS`
 parts of it differ by less than so many standard deviations."""
-
-TOGETHER = 2**13
-"""Samples that are compared at a time, so that all that is made of them stays in the processor's second cache."""
 
 ROUNDING = 1e-9
 """Error of times [s]."""
@@ -99,7 +98,7 @@ class Courses:
 
     def in_any(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """What is so of any column (N, c) whose dry friction a balance has, by balance (N, r)."""
-        return np.stack([np.any(columns[:, list(own)], axis=1) for own in self.of_balances], axis=1)
+        return np.array([reduce(np.logical_or, (columns[:, k] for k in own)) for own in self.of_balances]).T
 
     def _lengths(self, q: Array, qd: Array) -> tuple[Array, Array]:
         found = self.model.over(self.model.cylinder_kinematics, q, qd, 0 * q)
@@ -154,18 +153,15 @@ class Phases:
         >>> int(np.flatnonzero(found.rest)[-1]), int(np.flatnonzero(found.moving)[0])
         (150, 201)
         """
-        moving = np.abs(motion.qd) > limits.slow
-        calm, rest = np.zeros_like(moving), np.zeros_like(moving)
+        made = np.empty((3, motion.qd.shape[1], len(motion.t)), dtype=bool)
+        moving, calm, rest = (each.T for each in made)
+        shifts = np.array([WINDOW * (k / PARTS - 0.5) + sign * ROUNDING
+                           for k, sign in zip(range(PARTS + 1), (-1, *[0] * (PARTS - 1), 1), strict=True)])
         edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            span, t = slice(start, stop), motion.t[start:stop]
-            places = np.array([_places(t, WINDOW * (k / PARTS - 0.5) + sign * ROUNDING)
-                               for k, sign in zip(range(PARTS + 1), (-1, *[0] * (PARTS - 1), 1), strict=True)])
-            rest[span] = _same_mean(angles[span], places, limits.sigma)
-            moving[span] &= ~rest[span]
-            for j, one in enumerate(moving[span].T):
-                fast = np.concatenate([[0], np.cumsum(one)])
-                calm[span, j] = fast.take(places[-1]) == fast.take(places[0])
+            span = slice(start, stop)
+            given = motion.t[span], angles[span], motion.qd[span], shifts, limits.slow, SAME * limits.sigma
+            moving[span], calm[span], rest[span] = phases(*given, STANDSTILL * WINDOW) or _phases(*given)
         return cls(moving, calm, rest & calm)
 
     def at_rest(self, motion: Motion) -> Motion:
@@ -175,51 +171,42 @@ class Phases:
         """
         rest = self.rest[:, : motion.q.shape[1]]
         return replace(motion, qd=np.where(rest, 0.0, motion.qd), qdd=np.where(rest, 0.0, motion.qdd),
-                       interior=motion.interior | np.all(rest, axis=1))
+                       interior=motion.interior | reduce(np.logical_and, rest.T))
 
     def of_balances(self, courses: Courses) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Where all that has dry friction in each balance moves (N, r), and where all of it is calm (N, r)."""
         return ~courses.in_any(~self.moving), ~courses.in_any(~self.calm)
 
 
-def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
-    """Whether positions (N, n) with noise of `sigma` (n,) have one mean in all parts of a window about each sample.
+def _phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, apart: Array
+            ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """As the compiled `phases`."""
+    places = np.array([np.searchsorted(t, t + shift) for shift in shifts.tolist()])
+    same = _same_mean(angles, places, apart)
+    moving, calm = (np.abs(speeds) > slow) & ~same, np.empty_like(same)
+    for j, one in enumerate(moving.T):
+        fast = np.concatenate([[0], np.cumsum(one)])
+        calm[:, j] = fast.take(places[-1]) == fast.take(places[0])
+    return moving, calm, same
+
+
+def _same_mean(angles: Array, places: NDArray[np.intp], apart: Array) -> NDArray[np.bool_]:
+    """Whether positions (N, n) have one mean in all parts of a window about each sample; `apart` (n,) as of `phases`.
 
     `places` (parts + 1, N) are the first samples of the parts, and one after the last.
     """
-    same = np.empty(angles.shape, dtype=bool)
     total = np.zeros((angles.shape[1], len(angles) + 1))
     np.cumsum((angles - angles.mean(axis=0)).T, axis=1, out=total[:, 1:])
-    for start in range(0, len(angles), TOGETHER):
-        part = slice(start, start + TOGETHER)
-        counts = np.diff(places[:, part], axis=0)
-        with np.errstate(divide="ignore"):  # a part without samples has no mean
-            share = 1.0 / counts
-        empty = counts == 0
-        if gaps := np.any(empty):
-            share[empty] = np.nan
-        fewest = np.min(np.where(empty, np.inf, counts) if gaps else counts, axis=0)
-        low, high = (np.fmin, np.fmax) if gaps else (np.minimum, np.maximum)
-        for j, sums in enumerate(total):
-            means = np.diff(sums.take(places[:, part]), axis=0)
-            means *= share
-            apart = np.maximum(SAME * sigma[j] * np.sqrt(2 / fewest), STANDSTILL * WINDOW)
-            same[part, j] = high.reduce(means) - low.reduce(means) <= apart
+    counts = np.diff(places, axis=0)
+    empty = counts == 0
+    share = 1.0 / np.where(empty, np.nan, counts)  # a part without samples has no mean
+    fewest = np.min(np.where(empty, np.inf, counts), axis=0)
+    same = np.empty(angles.shape, dtype=bool)
+    for j, sums in enumerate(total):
+        means = np.diff(sums.take(places), axis=0) * share
+        most = np.maximum(apart[j] * np.sqrt(2 / fewest), STANDSTILL * WINDOW)
+        same[:, j] = np.fmax.reduce(means) - np.fmin.reduce(means) <= most
     return same
-
-
-def _places(t: Array, shift: float) -> NDArray[np.intp]:
-    """The first sample at or after each of the increasing times t (N,) [s] + `shift`."""
-    wanted, last = t + shift, len(t) - 1
-    if not last:
-        return np.searchsorted(t, wanted)
-    # where the step is even, so many samples away
-    found = np.clip(np.arange(len(t)) + int(np.ceil(shift * last / (t[-1] - t[0]))), 0, len(t))
-    after = np.where(found > last, np.inf, t.take(found, mode="clip"))
-    before = np.where(found == 0, -np.inf, t.take(found - 1, mode="clip"))
-    wrong = np.flatnonzero((before >= wanted) | (after < wanted))
-    found[wrong] = np.searchsorted(t, wanted[wrong])
-    return found
 
 
 def has_dry(model: Model) -> NDArray[np.bool_]:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from fixtures.tiers import tiered
-from hydroopt.estimation.dynamic.friction_sign import Phases, SpeedLimits, _places
+from hydroopt.estimation.dynamic import friction_sign
+from hydroopt.estimation.dynamic.friction_sign import Phases, SpeedLimits
 from hydroopt.estimation.dynamic.holds import Hold, HoldEquations, Holds
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.kernels.phases import phases
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
-from hydroopt.logs.smoothing import Motion
+from hydroopt.logs.smoothing import STANDSTILL, Motion
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -192,9 +197,36 @@ def test_a_stop_is_calm_and_a_reversal_is_not() -> None:
     assert np.all(phases.calm[t > 4.51])
 
 
-@pytest.mark.parametrize("shift", [-0.5 - 1e-9, -0.25, 0.0, 0.25, 0.5 + 1e-9, 100.0])
-def test_places_of_a_shifted_time_are_found_at_even_and_uneven_steps(shift: float) -> None:
-    rng = np.random.default_rng(3)
-    even = np.arange(500) / 50
-    for t in (even, 1e9 + even, np.cumsum(rng.exponential(0.02, 500)), np.delete(even, np.s_[100:300]), even[:1]):
-        np.testing.assert_array_equal(_places(t, shift), np.searchsorted(t, t + shift))
+EVEN = np.arange(500) / 50
+
+
+@pytest.mark.parametrize("t", [EVEN, 1e9 + EVEN, np.cumsum(np.random.default_rng(3).exponential(0.05, 500)),
+                               np.delete(EVEN, np.s_[100:300]), EVEN[:1], EVEN[:0]],
+                         ids=["even", "late", "uneven", "gap", "one sample", "none"])
+@pytest.mark.parametrize("way", [phases, lambda *given: friction_sign._phases(*given[:-1])], ids=["compiled", "NumPy"])
+def test_phases_are_those_of_each_window_alone(
+        t: np.ndarray, way: Callable[..., tuple[np.ndarray, ...] | None]) -> None:
+    rng = np.random.default_rng(len(t))
+    place = np.arange(len(t))
+    # sluggish, constant, always fast, unknown
+    angles = np.column_stack([np.sin(place / 80) * (place < 250), 0 * t, 0.1 * place, 0 * t]).repeat(2, axis=1)[:, ::2]
+    angles += [1e-3, 0.0, 1e-3, 1e-3] * rng.standard_normal(angles.shape)
+    speeds = np.column_stack([np.where(place % 97 < 5, 1.0, 0.01), 0 * t, 1.0 + 0 * t, np.nan * t])
+    shifts = np.array([-0.5 - 1e-9, -0.25, 0.0, 0.25, 0.5 + 1e-9])
+    slow, apart, least = np.array([0.1, 0.1, 0.1, 0.1]), np.array([5e-3, 0.0, 5e-3, 5e-3]), STANDSTILL
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # means of no samples
+        found = way(t, angles, speeds, shifts, slow, apart, least)
+    if found is None:
+        pytest.skip("no C compiler")
+    same, moving, calm = (np.zeros(angles.shape, bool) for _ in range(3))
+    for i, now in enumerate(t):
+        parts = [(t >= now + a) & (t < now + b) for a, b in pairwise(shifts)]
+        means = np.array([angles[part].mean(axis=0) for part in parts if np.any(part)])
+        fewest = min(np.count_nonzero(part) for part in parts if np.any(part))
+        same[i] = np.ptp(means, axis=0) <= np.maximum(apart * np.sqrt(2 / fewest), least)
+        moving[i] = (np.abs(speeds[i]) > slow) & ~same[i]
+    for i, now in enumerate(t):
+        calm[i] = ~np.any(moving[(t >= now + shifts[0]) & (t < now + shifts[-1])], axis=0)
+    for made, wanted in zip(found, (moving, calm, same), strict=True):
+        np.testing.assert_array_equal(made, wanted)
