@@ -6,7 +6,13 @@
 #ifndef M_SQRT1_2
 #define M_SQRT1_2 0.70710678118654752440
 #endif
+#ifdef __AVX512F__  /* samples at a time: as many as a vector holds */
 #define TILE 8
+#elif defined __AVX__
+#define TILE 4
+#else
+#define TILE 2
+#endif
 #define QUEUE 64
 #define FAR 100.0
 #define STEPS 30

@@ -4,7 +4,6 @@ band, in C: `hydroopt.kernels.windows` is for few columns of many samples, this 
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -60,6 +59,5 @@ def _at(values: NDArray[Any]) -> ctypes.c_void_p:
     return values.ctypes.data_as(ctypes.c_void_p)  # holds the array
 
 
-@cache
 def _library() -> ctypes.CDLL | None:
     return of_file("wide_windows.c", "errors of the motion", "NumPy and LAPACK weigh them, more slowly")

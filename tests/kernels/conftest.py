@@ -8,7 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from hydroopt.kernels import compiler, cosine, shared_library, triangle
+from hydroopt.kernels import compiler, cosine, marginals, shared_library, triangle
+
+FILES = "cosine.c", "marginals.c", "triangle.c", "wide_windows.c"
 
 
 @pytest.fixture(params=[None, "", "-mno-avx512f", "-mno-avx"])
@@ -18,15 +20,16 @@ def vectors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         pytest.skip("no C compiler")
     if request.param and platform.machine() != "x86_64":
         pytest.skip("an option of other processors")
-    kept = (compiler.compiler, shared_library.of_file, cosine._compiled, cosine._table, triangle._compiled)
+    kept = (compiler.compiler, shared_library.of_file, cosine._compiled, cosine._table, marginals._compiled,
+            triangle._compiled)
     for each in kept:
         each.cache_clear()
     if request.param is None:
         monkeypatch.setattr(shared_library, "compiler", lambda: None)
     elif request.param:
         monkeypatch.setenv("CC", f"cc {request.param}")
-    made = [shared_library.of_file(name, name, "this test fails") is not None for name in ("cosine.c", "triangle.c")]
-    assert made == [request.param is not None] * 2
+    made = [shared_library.of_file(name, name, "this test fails") is not None for name in FILES]
+    assert made == [request.param is not None] * len(FILES)
     yield
     for each in kept:
         each.cache_clear()
