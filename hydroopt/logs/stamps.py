@@ -114,6 +114,8 @@ def epoch_unit(values: NDArray[Any]) -> str | None:
     >>> epoch_unit(np.array([1700000000000, 1700000000020]))
     'ms'
     """
+    if values.size and max(-float(np.fmin.reduce(values)), float(np.fmax.reduce(values))) < YEARS_2001_TO_2040[0]:
+        return None  # too few even in seconds, as nearly all are
     return next((unit for unit in EPOCHS if dated_as(values, unit)), None)
 
 
