@@ -1,4 +1,4 @@
-"""Which joints move, are calm or at rest in each sample, in C; `hydroopt.estimation.dynamic.friction_sign` says when."""
+"""Which joints move, are calm or at rest in each sample, in C; `estimation.dynamic.friction_sign` says when."""
 
 from __future__ import annotations
 

@@ -1,3 +1,4 @@
+#include <math.h>
 #if defined(__AVX512F__)
 #include <immintrin.h>
 #define LANES 8
@@ -34,4 +35,25 @@ void running_median(long n, const double *x, double *y)
 {% endfor %}
         *(real *)(y + s) = {{ median }};
     }
+}
+
+/* Differences x - y in place of y, and how many of them are at least `share` of the one that is furthest from zero. */
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
+long residuals(long n, const double *x, double *y, double share, double *worst)
+{
+    const long whole = n / LANES * LANES;
+    real most = {0};
+    for (long s = 0; s < whole; s += LANES) {
+        const real off = *(const real *)(x + s) - *(real *)(y + s);
+        *(real *)(y + s) = off, most = MOST(most, MOST(off, -off));
+    }
+    *worst = 0;
+    for (long l = 0; l < LANES; l++) *worst = *worst < most[l] ? most[l] : *worst;
+    for (long s = whole; s < n; s++) y[s] = x[s] - y[s], *worst = *worst < fabs(y[s]) ? fabs(y[s]) : *worst;
+    const double least = share * *worst;
+    long many = 0;
+    for (long s = 0; s < n; s++) many += fabs(y[s]) >= least;
+    return many;
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import ctypes
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from hydroopt.kernels.shared_library import ADDRESS, COUNT, loaded, routine
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, loaded, routine
 from hydroopt.spatial.inertia import Array
 from hydroopt.spectra import windowed_median
 
@@ -24,24 +25,48 @@ def running_median(x: Array, width: int) -> Array:
     >>> running_median(np.array([1.0, 1.0, 9.0, 2.0, 2.0]), 3).tolist()
     [1.0, 1.0, 2.0, 2.0, 2.0]
     """
-    count = len(x)
-    run = _compiled(width) if count >= FEW else None
+    count, half = len(x), width // 2
+    run = None if count < FEW or (library := _library(width)) is None else routine(
+        library, "running_median", COUNT, ADDRESS, ADDRESS)
     if run is None:
         return windowed_median(x, width)
-    padded = np.empty(count + width + LANES)
-    half = width // 2
-    padded[:half], padded[half : half + count], padded[half + count :] = x[0], x, x[-1]
-    made = np.empty(-(-count // LANES) * LANES)
-    run(len(made), padded.ctypes.data, made.ctypes.data)
-    return made[:count]
+    x, made = np.ascontiguousarray(x, dtype=float), np.empty(count)
+    inner = (count - width + 1) // LANES * LANES  # windows that reach beyond no end
+    run(inner, x.ctypes.data, made[half:].ctypes.data)
+    for first, end in ((0, half), (half + inner, count)):
+        some = np.arange(first - half, end + half + LANES).clip(0, count - 1)
+        beside, own = x[some], np.empty(end - first + LANES)
+        run((end - first + LANES - 1) // LANES * LANES, beside.ctypes.data, own.ctypes.data)
+        made[first:end] = own[: end - first]
+    return made
+
+
+def residuals(x: Array, width: int, share: float) -> tuple[Array, float, int]:
+    """What x (N,), finite, is beyond its running median of `width`, (N,); the largest size of these residuals, and how
+    many are at least this `share` of it.
+
+    >>> off, worst, many = residuals(np.array([1.0, 1.0, 9.0, 2.0, 2.0]), 3, 0.5)
+    >>> off.tolist(), worst, many
+    ([0.0, 0.0, 7.0, 0.0, 0.0], 7.0, 1)
+    """
+    made = running_median(x, width)
+    library = _library(width) if len(x) >= FEW else None
+    if library is None:
+        off = x - made
+        size = np.abs(off)
+        worst = float(size.max(initial=0.0))
+        return off, worst, int(np.count_nonzero(size >= share * worst))
+    x, most = np.ascontiguousarray(x, dtype=float), ctypes.c_double()
+    count = routine(library, "residuals", COUNT, ADDRESS, ADDRESS, NUMBER, ADDRESS, result=COUNT)
+    many = count(len(x), x.ctypes.data, made.ctypes.data, share, ctypes.addressof(most))
+    return made, most.value, int(many)
 
 
 @cache
-def _compiled(width: int) -> Callable[..., None] | None:
+def _library(width: int) -> ctypes.CDLL | None:
     own = [Path(__file__).with_suffix(end).read_bytes() for end in (".py", ".c")]
-    library = loaded([str(width).encode(), *own], lambda: source(width), "the running median",
-                     "SciPy computes it, more slowly")
-    return None if library is None else routine(library, "running_median", COUNT, ADDRESS, ADDRESS)
+    return loaded([str(width).encode(), *own], lambda: source(width), "the running median",
+                  "SciPy computes it, more slowly")
 
 
 def source(width: int) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from hydroopt.kernels.running_median import running_median
+from hydroopt.kernels.running_median import residuals, running_median
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.table import runs
 
@@ -110,14 +110,11 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
     mask = np.zeros(x.size, bool)
     if x.size < _WINDOW:
         return mask
-    signed = x - running_median(x, _WINDOW)
-    residual = np.abs(signed)
-    worst = float(residual.max())
+    signed, worst, many = residuals(x, _WINDOW, _USUAL)
     # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
-    if np.count_nonzero(residual >= worst * _USUAL) >= x.size - int(0.95 * (x.size - 1)):
+    if worst <= finest or many >= x.size - int(0.95 * (x.size - 1)):
         return mask
-    if worst <= finest:
-        return mask
+    residual = np.abs(signed)
     usual = max(finest, high_quantile(residual, 0.95) / _USUAL)
     if 2e-3 * np.ptp(x) > usual:
         low, high = np.quantile(x, [0.01, 0.99])

@@ -261,6 +261,8 @@ class LogStream:
                                where=self.path, remedy="write the file again")
         piece = replace(samples, reported=reported, whole=extremes)
         kept, segment = treat(piece, self.treatment, self.limits, self.path)
+        for own in (kept.t, kept.sample, segment, *kept.channels.values()):
+            own.setflags(write=False)  # nobody else has them: no need for copies
         return Log(self.name, kept.t, kept.channels, kept.sample, segment, kept.findings, self.path, self.sha256,
                    {name: self.units[name] for name in kept.channels})
 

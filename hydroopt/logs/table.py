@@ -169,7 +169,9 @@ def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: st
 
 
 def frozen(values: ArrayLike, kind: type) -> NDArray[Any]:
-    """A copy of `values` as an array of `kind` that cannot be written to."""
+    """A copy of `values` as an array of `kind` that cannot be written to; they themselves, if they are one."""
+    if type(values) is np.ndarray and values.dtype == kind and values.base is None and not values.flags.writeable:
+        return values
     array: NDArray[Any] = np.array(values, dtype=kind)
     array.setflags(write=False)
     return array

@@ -27,7 +27,20 @@ def test_medians_are_those_of_scipy(width: int, count: int) -> None:
 
 def test_without_a_compiler_scipy_computes_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shared_library, "compiler", lambda: None)
-    own._compiled.cache_clear()
+    own._library.cache_clear()
     x = np.random.default_rng(0).standard_normal(own.FEW)
     np.testing.assert_array_equal(own.running_median(x, 5), median_filter(x, 5, mode="nearest"))
-    own._compiled.cache_clear()
+    own._library.cache_clear()
+
+
+@pytest.mark.parametrize("count", [1, 30, own.FEW, own.FEW + 5])
+def test_residuals_are_those_of_the_median(count: int) -> None:
+    rng = np.random.default_rng(count)
+    spiky = rng.standard_normal(count)
+    spiky[count // 2 :: 97] -= 9.0
+    for x in (spiky, np.zeros(count), np.arange(2.0 * count)[::2]):
+        off, worst, many = own.residuals(x, 25, 0.3)
+        wanted = x - median_filter(x, 25, mode="nearest")
+        np.testing.assert_array_equal(off, wanted)
+        assert worst == np.abs(wanted).max()
+        assert many == np.count_nonzero(np.abs(wanted) >= 0.3 * worst)
