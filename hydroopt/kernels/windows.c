@@ -48,6 +48,22 @@ EXPORT void product(long rows, const double *v, const int *first, const double *
     }
 }
 
+/* The rows of splines at the places x, of which cell[i] is the whole part: sums of u^k·powers[k][a] over `count` powers of
+   the place u in it. */
+EXPORT void weights(long rows, const double *x, const int *cell, long count, const double *powers, double *made)
+{
+    typedef double wide __attribute__((vector_size(64), aligned(8), may_alias)); /* WIDTH numbers and two that are lost */
+    wide p[WIDTH] = {0};
+    for (long k = 0; k < count; k++)
+        for (int a = 0; a < WIDTH; a++) p[k][a] = powers[k * WIDTH + a];
+    for (long i = 0; i < rows; i++, made += WIDTH) {
+        wide v = p[count - 1];
+        for (long k = count - 2; k >= 0; k--) v = v * (x[i] - cell[i]) + p[k];
+        if (i + 1 < rows) *(wide *)made = v;
+        else for (int a = 0; a < WIDTH; a++) made[a] = v[a];
+    }
+}
+
 /* As many systems as a vector has lanes, side by side. */
 #define LANES 4
 typedef double real __attribute__((vector_size(8 * LANES), aligned(8), may_alias));

@@ -84,6 +84,20 @@ def factors(gram: Array, penalty: Array, weights: Sequence[float]) -> Factors | 
     return None if library is None else Factors(library, gram, penalty, weights)
 
 
+def weights(x: Array, cell: NDArray[Any], powers: Array) -> Array | None:
+    """Values (N, 6) of the splines that live at the places x (N,); None where no compiler works.
+
+    In a `cell` (N,), the whole part of x, they are sums of u^k·powers[k] over powers of the place u in it.
+    """
+    if (library := _library()) is None:
+        return None
+    made = np.empty((len(x), WIDTH))
+    places, cells, matrix = (np.ascontiguousarray(each, dtype=kind) for each, kind in (
+        (x, float), (cell, ctypes.c_int), (powers, float)))
+    library.weights(ctypes.c_long(len(x)), _at(places), _at(cells), ctypes.c_long(len(powers)), _at(matrix), _at(made))
+    return made
+
+
 def curves(x: Array, cell: NDArray[Any], powers: Array, coefficients: Array, scale: float) -> Array | None:
     """Values and first two derivatives (3, N, k) of curves at the places x (N,); None where no compiler works.
 

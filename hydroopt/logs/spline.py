@@ -209,20 +209,19 @@ class Basis:
 
     def derivative(self, x: Array, order: int) -> WindowedRows:
         """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
-        powers, cell = self._powers if x is self.x else self._powers_at(x)
-        return WindowedRows(powers[:, : _ORDER - order] @ _derived(order), cell, self.intervals + _DEGREE)
+        cell = self._cells if x is self.x else self._cells_at(x)
+        values = windows.weights(x, cell, _derived(order)) if len(x) >= COMPILED else None
+        if values is None:
+            values = np.vander(x - cell, _ORDER - order, increasing=True) @ _derived(order)
+        return WindowedRows(values, cell, self.intervals + _DEGREE)
 
     @cached_property
-    def _powers(self) -> tuple[Array, NDArray[np.int32]]:
-        return self._powers_at(self.x)
+    def _cells(self) -> NDArray[np.int32]:
+        return self._cells_at(self.x)
 
-    def _powers_at(self, x: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Powers (N, 6) of the places in their knot intervals, and these (N,)."""
-        cell = np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
-        powers = np.ones((_ORDER, x.size))
-        for k in range(1, _ORDER):
-            np.multiply(powers[k - 1], x - cell if k == 1 else powers[1], out=powers[k])
-        return powers.T, cell
+    def _cells_at(self, x: Array) -> NDArray[np.int32]:
+        """The knot intervals (N,) that places are in."""
+        return np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
 
     @cached_property
     def penalty(self) -> Array:
@@ -256,7 +255,7 @@ class Basis:
         """Values and first two derivatives (3, N, k) [unit of y / s^derivative] at the samples, of coefficients (m, k).
         """
         if len(self.x) >= COMPILED:
-            made = windows.curves(self.x, self.design.first, _POWERS, coefficients, 1 / self.spacing)
+            made = windows.curves(self.x, self._cells, _POWERS, coefficients, 1 / self.spacing)
             if made is not None:
                 return made
         return np.array([(self.derivative(self.x, order) @ coefficients) / self.spacing**order for order in range(3)])

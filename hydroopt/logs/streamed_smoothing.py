@@ -51,8 +51,9 @@ class Smoother:
             refuse_too_short(stop - start, where)
             for grid in dict.fromkeys(self.grids):
                 basis = Basis(t[span], grid)
-                joints = [j for j, own in enumerate(self.grids) if own == grid]
-                coefficients = basis.solve_each([self.filters[j] for j in joints],
+                some = [j for j, own in enumerate(self.grids) if own == grid]
+                joints = some if len(some) < len(self.grids) else slice(None)
+                coefficients = basis.solve_each([self.filters[j] for j in some],
                                                 basis.design.gathered(q[span, joints]))
                 out[:, span, joints] = basis.courses(coefficients)
             interior[span] = inside(t[span], self.bandwidth)

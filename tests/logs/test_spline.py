@@ -113,6 +113,27 @@ def test_systems_that_are_solved_side_by_side_are_those_solved_one_by_one() -> N
         windows.factors(basis.gram, basis.penalty, [-1.0]).solved(right[:, :1])
 
 
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize("count", [0, 1, 2, 5000])
+@pytest.mark.parametrize("order", [0, 2])
+def test_values_of_the_splines_are_those_of_scipy(count: int, order: int) -> None:
+    rng = np.random.default_rng(count)
+    x, powers = np.sort(rng.uniform(0.0, 9.0, count)), spline._derived(order)
+    if count > 1:
+        x[:2] = 0.0, np.nan
+    found = windows.weights(x, np.nan_to_num(x).astype(np.int32), powers)
+    assert found is not None
+    knots = np.arange(-5.0, 15.0)
+    for k in range(len(knots) - 6):
+        own = BSpline.basis_element(knots[k : k + 7], extrapolate=False)
+        own = np.nan_to_num((own if not order else own.derivative(order))(x))
+        inside = (np.floor(x) >= knots[k]) & (np.floor(x) < knots[k] + 6)
+        here = np.flatnonzero(inside)
+        column = (k - np.floor(x[here])).astype(int)
+        np.testing.assert_allclose(found[here, column], own[here], rtol=0, atol=1e-13)
+    np.testing.assert_array_equal(np.isnan(found), np.repeat(np.isnan(x), 6).reshape(-1, 6))
+
+
 def test_courses_are_those_of_each_derivative(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(6)
     t = 7.0 + np.sort(rng.uniform(0.0, 100.0, 5000))
