@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.inference.listing import counted
 from hydroopt.excitation.poses.plan import PosePlan
 from hydroopt.excitation.poses.readings import DRIVE, Reading
 from hydroopt.logs.poses import Poses
@@ -80,7 +81,11 @@ class MeasureUpPlan(PosePlan):
     def uses(self) -> tuple[Use, ...]:
         """How well the tip will be known."""
         return (Use(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
-            f"expected 95 % interval over the workspace after {self.count} readings in {len(self.q)} postures")),)
+            f"expected 95 % interval over the workspace after {self._effort}")),)
+
+    @property
+    def _effort(self) -> str:
+        return f"{counted(self.count, 'reading')} in {counted(len(self.q), 'posture')}"
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
@@ -100,8 +105,8 @@ class MeasureUpPlan(PosePlan):
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: where to drive, what to read there, and what to expect."""
-        text = [f"{self.count} readings in {len(self.q)} postures for {self.machine.name}: about {self.minutes:.0f} "
-                f"min. The tip is then known to {readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
+        text = [f"{self._effort} for {self.machine.name}: about {self.minutes:.0f} min. The tip is then known to "
+                f"{readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
         text += ["", self.left_out.sentence, self.ways]
         if self.by_themselves:
             text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
