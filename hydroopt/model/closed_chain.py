@@ -5,7 +5,7 @@ Every number of the machine file with a stated confidence is a parameter; all ot
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,7 @@ from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.cylinder_motion import centre_line
 from hydroopt.model.pose_rows.frames import Frames
 from hydroopt.model.pose_rows.measurements import inputs, measurements
+from hydroopt.model.recent import Recent
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
@@ -303,6 +304,19 @@ class KinematicModel(Shown):
             return tip
         turn = roll_pitch_yaw(self.geometry.turn("tracker"))
         return turn.T @ (tip - self.geometry.point("tracker"))
+
+
+_recent = Recent[KinematicModel]()
+
+
+def recent_chain(machine: Machine) -> KinematicModel:
+    """The closed chain of a machine: one that was made before where all that the machine file states is the same.
+
+    >>> import hydroopt
+    >>> recent_chain(hydroopt.load_machine("panda_mukca")) is recent_chain(hydroopt.load_machine("panda_mukca"))
+    True
+    """
+    return _recent.of((machine, machine.source), partial(KinematicModel, machine))
 
 
 def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:

@@ -19,6 +19,7 @@ from hydroopt.model import lagrange
 from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
+from hydroopt.model.recent import Recent
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.notebook_card import Card, Drawn
@@ -413,10 +414,7 @@ def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, .
     return tuple(terms)
 
 
-_recent: list[Model] = []
-"""Models that `recent_model` made, the last used one first."""
-KEPT = 4
-"""How many of them are kept."""
+_recent = Recent[Model]()
 
 
 def recent_model(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> Model:
@@ -428,14 +426,8 @@ def recent_model(machine: Machine, *, actuator_inertia: bool = True, calibrator:
     >>> recent_model(load_machine("patu655_lift")) is recent_model(load_machine("patu655_lift"))
     True
     """
-    asked = actuator_inertia, calibrator
-    for model in list(_recent):
-        if (model.actuator_inertia, model.calibrator) == asked and model.machine == machine:
-            break
-    else:
-        model = Model(machine, actuator_inertia=actuator_inertia, calibrator=calibrator)
-    _recent[:] = [model, *(other for other in _recent if other is not model)][:KEPT]
-    return model
+    return _recent.of((machine, machine.source, actuator_inertia, calibrator),
+                      partial(Model, machine, actuator_inertia=actuator_inertia, calibrator=calibrator))
 
 
 def model_of(given: Model | GivenMachine, where: str) -> Model:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from hydroopt import load_machine
-from hydroopt.model.model import KEPT, Model, recent_model
+from hydroopt import dump_machine, load_machine
+from hydroopt.model.closed_chain import recent_chain
+from hydroopt.model.model import Model, recent_model
+from hydroopt.model.recent import KEPT
 
 LIFT = load_machine("patu655_lift")
 
@@ -24,6 +28,15 @@ def test_a_machine_that_states_something_else_has_a_model_of_its_own() -> None:
     assert np.any(found != before)
     assert not recent_model(LIFT, actuator_inertia=False).actuator_inertia
     np.testing.assert_array_equal(np.asarray(recent_model(LIFT).regressor(q, q, q)), before)
+
+
+def test_the_same_machine_from_elsewhere_keeps_its_path(tmp_path: Path) -> None:
+    sources = []
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.toml").write_bytes(dump_machine(LIFT).encode())
+        machine = load_machine(tmp_path / f"{name}.toml")
+        sources += [recent_model(machine).machine.source, recent_chain(machine).machine.source]
+    assert [Path(source.strip("'")).stem for source in sources] == ["one", "one", "other", "other"]
 
 
 def test_few_models_are_kept() -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.lapack import singular_values
-from hydroopt.model.model import KEPT, Model
+from hydroopt.model.model import Model
+from hydroopt.model.recent import KEPT
 from hydroopt.spatial.inertia import Array
 
 FULL, COMBINATION, NONE = "full", "combination", "none"

@@ -20,7 +20,7 @@ from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
-from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.closed_chain import recent_chain
 from hydroopt.notebook_card import Shown
 
 UNFILLED = "fill in what the sensors and instruments read at each pose"
@@ -133,7 +133,7 @@ def calibration_problem(machine: GivenMachine, poses: Poses, validation: Poses |
     all_of([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
     for each in [poses] if validation is None else [poses, validation]:
         _refuse_unfilled(machine, each)
-    model = KinematicModel(machine)
+    model = recent_chain(machine)
     builder = LayoutBuilder(machine, model, poses)
     if not len(builder.parameter_set()):
         raise ProblemError("no number of its geometry states how far it may be off: there is nothing to calibrate",
