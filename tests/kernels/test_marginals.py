@@ -25,13 +25,17 @@ def ends(matrices: np.ndarray, along: np.ndarray, single: np.ndarray, slope: np.
 
 
 @pytest.mark.usefixtures("vectors")
-@pytest.mark.parametrize("far", [0.0, -12.0, 12.0])
-def test_they_are_means_of_truncated_normal_distributions(far: float) -> None:
+@pytest.mark.parametrize(("far", "thin"), [(0.0, 1.0), (-12.0, 1.0), (12.0, 1.0), (0.0, 1e-4)])
+def test_they_are_means_of_truncated_normal_distributions(far: float, thin: float) -> None:
+    """In thin bodies, all samples but one change as little as they have; that one is at its edge."""
     rng = np.random.default_rng(int(abs(far)))
-    factors = rng.standard_normal((MATRICES, SAMPLES, 4, 5))
+    factors, size = rng.standard_normal((MATRICES, SAMPLES, 4, 5)), np.array([1.0, 1.0, thin, thin])
+    factors[0] *= size[:, None]
+    factors[1, 0, -1] *= thin
     bodies, single = factors @ factors.swapaxes(2, 3), rng.exponential(size=(SINGLE, SAMPLES))
     along = rng.standard_normal((SUMS, MATRICES, 4, 4))
     along += along.swapaxes(2, 3)
+    along[:, 0] *= np.outer(size, size)
     along[0], slope = 0.0, rng.standard_normal((SUMS, SINGLE))  # by single conditions alone
     at = far + rng.standard_normal((SUMS, SAMPLES))
     slack = np.concatenate([bodies[..., *UPPER].transpose(2, 0, 1).reshape(10 * MATRICES, SAMPLES), single])
