@@ -19,12 +19,16 @@ static inline long advanced(long p, long rows, const double *t, double wanted)
 __declspec(dllexport)
 #endif
 void phases(long rows, const double *t, const double *shift, long joints, const double *angles, long down, long across,
-            const double *speeds, long speeds_down, long speeds_across, const double *mean, const double *slow,
-            const double *apart, double least, double *sums, char *moving, char *calm, char *rest)
+            const double *speeds, long speeds_down, long speeds_across, const double *slow, const double *apart,
+            double least, double *sums, char *moving, char *calm, char *rest)
 {
     for (long j = 0; j < joints; j++) {
+        const double *given = angles + j * across;
         double sum = 0, *own = sums + j * (rows + 1);
-        for (long i = 0; i < rows; i++) own[i] = sum, sum += angles[i * down + j * across] - mean[j];
+        for (long i = 0; i < rows; i++) sum += given[i * down];
+        const double mean = sum / rows;
+        sum = 0;
+        for (long i = 0; i < rows; i++) own[i] = sum, sum += given[i * down] - mean;
         own[rows] = sum;
     }
     long at[PARTS + 1] = {0}, many[PARTS] = {-1}, fewest = 0;

@@ -34,7 +34,7 @@ def phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, a
         return None
     (rows, joints), made = angles.shape, np.empty((3, angles.shape[1], len(t)), dtype=bool)
     sums = np.empty((joints, rows + 1))
-    held = [np.ascontiguousarray(each, dtype=float) for each in (t, shifts, angles.mean(axis=0), slow, apart)]
+    held = [np.ascontiguousarray(each, dtype=float) for each in (t, shifts, slow, apart)]
     strides = [[step // 8 for step in each.strides] for each in (angles, speeds)]
     assert len(shifts) == PARTS + 1
     assert angles.dtype == speeds.dtype == float
@@ -49,5 +49,5 @@ def phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, a
 def _compiled() -> Callable[..., None] | None:
     library = of_file("phases.c", "phases of motion", "NumPy tells them, more slowly")
     return None if library is None else routine(
-        library, "phases", COUNT, ADDRESS, ADDRESS, COUNT, *[ADDRESS, COUNT, COUNT] * 2, *[ADDRESS] * 3, NUMBER,
+        library, "phases", COUNT, ADDRESS, ADDRESS, COUNT, *[ADDRESS, COUNT, COUNT] * 2, *[ADDRESS] * 2, NUMBER,
         *[ADDRESS] * 4)

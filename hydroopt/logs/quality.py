@@ -85,7 +85,11 @@ def repeated(t: Array) -> Mask:
 
 def usual_step(t: Array) -> float:
     """The median step [s]; 0 of a single sample."""
-    return float(np.median(np.diff(t))) if t.size > 1 else 0.0
+    steps = np.diff(t)
+    if not steps.size:
+        return 0.0
+    middle = [(steps.size - 1) // 2, steps.size // 2]
+    return float(np.mean(np.partition(steps, middle)[middle]))  # NumPy's median looks for the largest one, too
 
 
 def gaps(t: Array, usual: float) -> Mask:
@@ -258,7 +262,7 @@ def _level_runs(x: Array, shortest: int) -> list[tuple[int, int]]:
     step = shortest // 2  # at least two samples that are so far apart lie in such a range
     some = x[::step]
     at = step * np.flatnonzero(some[1:] == some[:-1])
-    if not np.any(np.all(x[at[:, None] + np.arange(step)] == x[at, None], axis=1)):
+    if not at.size or not np.any(np.all(x[at[:, None] + np.arange(step)] == x[at, None], axis=1)):
         return []
     edges = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [x.size]])
     long = np.flatnonzero(np.diff(edges) >= shortest)

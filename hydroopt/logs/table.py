@@ -252,12 +252,18 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
 
 def selected(count: int, rows: tuple[int, int] | None, where: str) -> NDArray[np.int64]:
     """1-based data rows that a map selects of `count`."""
+    first, last = ends(count, rows, where)
+    return np.arange(first, last + 1)
+
+
+def ends(count: int, rows: tuple[int, int] | None, where: str) -> tuple[int, int]:
+    """The first and the last of them."""
     first, last = rows or (1, count)
     if last > count:
         raise LogError(f"rows {first} to {last} are asked for, but there are {count} data rows",
                        where=where,
                        remedy="correct 'rows' in the map")
-    return np.arange(first, last + 1)
+    return first, last
 
 
 def check_size(size: float, where: str) -> None:

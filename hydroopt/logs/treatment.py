@@ -230,9 +230,9 @@ def _worst(samples: Samples) -> Callable[[str, Mask], str]:
     def text(name: str, mask: Mask) -> str:
         x = samples.channels[name]
         good = ~mask & np.isfinite(x)
-        off = np.nan_to_num(np.abs(x - np.interp(samples.t, samples.t[good], x[good])))
-        worst = int(np.argmax(np.where(mask, off, -1.0)))
-        return f"stand off their neighbours (worst at sample {samples.sample[worst]})"
+        found = np.flatnonzero(mask)
+        off = np.nan_to_num(np.abs(x[found] - np.interp(samples.t[found], samples.t[good], x[good])))
+        return f"stand off their neighbours (worst at sample {samples.sample[found[np.argmax(off)]]})"
     return text
 
 

@@ -35,6 +35,7 @@ from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_channels, force_lags, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
+from hydroopt.logs.quality import usual_step
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
 from hydroopt.machine.balances import undriven
@@ -227,22 +228,21 @@ class Experiment:
             (K, *_), force = self.equations(psi, block)
             rows = [basis.rows(K, force, i) for i, basis in enumerate(bands.bases)]
         t = self.motion.t[block]
-        step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        step = usual_step(t) or 1.0
         if bands.noisy.size:
             bands.noise += self._noise(block, step, bands.noisy, psi)
         if self.calm is not None:
-            held = self.inside[block, None] & self.calm[block]
-            edges = [np.flatnonzero(np.diff(column, prepend=False, append=False)).tolist() for column in held.T]
-            spans = [(i, first, end) for i, some in enumerate(edges)
-                     for first, end in zip(some[::2], some[1::2], strict=True)]
-            dry = has_dry(self.model) if spans else np.zeros(0)
+            held = self.inside[block] & self.calm[block].T
+            spans = [(i, first, end) for i, marks in enumerate(held) for first, end in _spans(marks)]
+            dry = has_dry(self.model) if spans else np.zeros(0, dtype=bool)
             for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
-                basis, own = bands.bases[i], rows[i][:, first:end]
-                total = np.append(np.where(dry[basis.own], 0.0, basis.spread(own[: len(basis.kept)].sum(axis=1))),
-                                  own[-1].sum())
-                (begun, ended), (begin, finish) = (x[[block.start + first, block.start + end - 1]].tolist()
-                                                   for x in (self.log.sample, self.motion.t))
-                bands.holds.append(i, Hold(begun, ended, begin, finish, end - first, total, lever * dry), step)
+                basis, sums = bands.bases[i], rows[i][:, first:end].sum(axis=1)
+                total = np.append(basis.spread(sums[:-1]), sums[-1])
+                total[:-1][dry[basis.own]] = 0.0
+                begin, finish = block.start + first, block.start + end - 1
+                bands.holds.append(i, Hold(
+                    int(self.log.sample[begin]), int(self.log.sample[finish]), float(self.motion.t[begin]),
+                    float(self.motion.t[finish]), end - first, total, lever * dry), step)
         bands.fold(rows, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
 
     def _noise(self, block: slice, step: float, free: NDArray[np.intp], psi: Array | None) -> Array:
@@ -291,6 +291,13 @@ class Experiment:
         held, unused = inside & calm, inside & ~self.known & ~calm
         return (*self.motion.notes, left_out, standstill_note(np.sum(held, axis=0), np.sum(unused, axis=0)),
                 *self.remarks)
+
+
+def _spans(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and end of the samples in a row that are marked (N,)."""
+    changes = (np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist()
+    edges = [*([0] if marks[0] else []), *changes, *([len(marks)] if marks[-1] else [])]
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def standstill_note(held: NDArray[np.intp], unused: NDArray[np.intp]) -> str:

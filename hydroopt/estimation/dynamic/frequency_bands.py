@@ -71,16 +71,16 @@ class ActuatorBands:
         ends = 2 * count * step * LOWEST * RATIO ** np.arange(1.0, BANDS)  # coefficient k has k + ½ half waves
         edges = np.concatenate([[0], np.clip(np.ceil(ends - 0.5), 0, count).astype(int), [count]])
         folded = self.later if np.all(later) else self.across if np.any(later) else self.earlier
-        for i, block in enumerate(rows):
-            here = taken[:, i]
-            if not np.any(here):
+        for i, (block, here) in enumerate(zip(rows, np.ascontiguousarray(taken.T), strict=True)):
+            if not (many := np.count_nonzero(here)):
                 continue
-            self.forces[i] += np.sum(block[-1, here])
-            self.samples[i] += np.sum(here)
-            self.counts[i] += np.diff(edges) * np.mean(here)
+            self.samples[i] += many
+            self.counts[i] += np.diff(edges) * (many / count)
             contrast = np.where(later, 1.0, -1.0) * (self._repeated(i).T @ block[:-1]) if folded is self.across else ()
             whole = np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block
-            folded[i].fold(cosine_transform(whole, here).T, edges)
+            turned = cosine_transform(whole, here).T
+            self.forces[i] += np.sqrt(count) * turned[0, -1]
+            folded[i].fold(turned, edges)
 
     def _repeated(self, actuator: int) -> Array:
         """(k, m) what makes the columns that C repeats of the kept ones."""

@@ -170,8 +170,11 @@ class Phases:
         Where all are, the ends of stretches are as good as their middle.
         """
         rest = self.rest[:, : motion.q.shape[1]]
+        if not np.any(rest):
+            return motion
+        everywhere, rest = reduce(np.logical_and, rest.T), np.ascontiguousarray(rest)  # in the order of the motion
         return replace(motion, qd=np.where(rest, 0.0, motion.qd), qdd=np.where(rest, 0.0, motion.qdd),
-                       interior=motion.interior | reduce(np.logical_and, rest.T))
+                       interior=motion.interior | everywhere)
 
     def of_balances(self, courses: Courses) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Where all that has dry friction in each balance moves (N, r), and where all of it is calm (N, r)."""
@@ -211,7 +214,7 @@ def _same_mean(angles: Array, places: NDArray[np.intp], apart: Array) -> NDArray
 
 def has_dry(model: Model) -> NDArray[np.bool_]:
     """Which parameters (p,) are of dry friction."""
-    return np.isin(np.array(model.parameters.kinds), DRY)
+    return np.array([kind in DRY for kind in model.parameters.kinds], dtype=bool)
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:

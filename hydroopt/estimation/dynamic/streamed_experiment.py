@@ -269,8 +269,8 @@ class StreamedExperiment:
             memory = memory if memory is not None and len(memory[0]) == block.stop - block.start else None
             rows, memory = self._rows(data.inputs(block), data.force[block], memory)
             others = data.inside[block, None] & ~data.known[block] & np.isfinite(data.force[block])
-            for i, some in enumerate(rows):
-                if (places := np.flatnonzero(others[:, i])).size:
+            for i, (some, own) in enumerate(zip(rows, np.ascontiguousarray(others.T), strict=True)):
+                if (places := np.flatnonzero(own)).size:
                     totals.others.fold_rows(i, some.T, places)
             data.fold_block(totals.known, block, float(np.mean(self.stream.rows)), rows=rows)
         return totals

@@ -12,7 +12,7 @@ from hydroopt.errors import LogError
 from hydroopt.extras import needed
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
+from hydroopt.logs.table import Array, RawKey, Table, check_size, ends, find_column, selected, unreadable
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
@@ -49,8 +49,7 @@ class ParquetFile:
     @property
     def selected(self) -> tuple[int, int]:
         """First and last 1-based data row that the map selects."""
-        rows = selected(self.meta.num_rows, self._rows, self.where)
-        return int(rows[0]), int(rows[-1])
+        return ends(self.meta.num_rows, self._rows, self.where)
 
     def _column(self, key: RawKey, *, moment: bool = False) -> str:
         """The name of a column of numbers, or of moments."""
