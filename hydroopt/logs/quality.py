@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from hydroopt.kernels.running_median import WIDTH as _WINDOW
 from hydroopt.kernels.running_median import residuals, running_median
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.table import runs
@@ -17,7 +18,6 @@ Mask = NDArray[np.bool_]
 REPEATED, EVEN, OFTEN = 3, 5, 0.9
 """Samples from one change of a repeated channel to the next, at least; those from which on they may differ by one; and
 the share of changes that are so even."""
-_WINDOW = 25  # samples of the running median: spikes up to 12 samples wide stand out
 FINEST = {"m": 1e-6, "rad": 1e-6, "Pa": 100.0}
 """Steps that the finest instruments of machines resolve, by unit: magnetostrictive transducers, encoders of 22 bits,
 16 bits of 60 bar."""
@@ -67,7 +67,7 @@ def out_of_order(t: Array) -> Mask:
     """
     if np.all(np.diff(t) >= 0):
         return np.zeros(t.size, bool)
-    stray = running_median(t, _WINDOW) != t
+    stray = running_median(t) != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
         kept = np.where(stray, -np.inf, t)
         before, after = np.maximum.accumulate(kept), np.inf
@@ -114,7 +114,7 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
     mask = np.zeros(x.size, bool)
     if x.size < _WINDOW:
         return mask
-    signed, worst, many = residuals(x, _WINDOW, _USUAL)
+    signed, worst, many = residuals(x, _USUAL)
     # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
     if worst <= finest or many >= x.size - int(0.95 * (x.size - 1)):
         return mask
