@@ -163,8 +163,8 @@ def inverse_of_positive(matrix: Array) -> Array:
     Raises:
         LinAlgError: the matrix is not positive definite.
 
-    >>> inverse_of_positive(np.array([[2.0, 0.0], [0.0, 4.0]])).tolist()
-    [[0.5, 0.0], [0.0, 0.25]]
+    >>> inverse_of_positive(np.array([[4.0, 0.0], [0.0, 16.0]])).tolist()
+    [[0.25, 0.0], [0.0, 0.0625]]
     """
     factor, info = routines.dpotrf(np.asarray_chkfinite(matrix), lower=0, clean=1)
     if info:
