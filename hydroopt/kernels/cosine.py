@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt import spectra
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
+from hydroopt.kernels.thread_memory import room
 from hydroopt.spatial.inertia import Array
 
 SIZE, LANES = 2**13, 8
@@ -31,11 +32,9 @@ def cosine_transform(rows: Array, taken: NDArray[np.bool_] | None = None) -> Arr
         if taken is not None:
             rows[:, np.flatnonzero(~taken)] = 0.0
         return spectra.cosine_transform(rows)
-    work = np.empty(WORK + LANES)
-    work = work[-(work.ctypes.data // work.itemsize) % LANES :]  # from a cache line on
     some = None if taken is None else np.ascontiguousarray(taken, dtype=bool)
     run(len(rows), rows.ctypes.data, rows.strides[0] // rows.itemsize, None if some is None else some.ctypes.data,
-        _table().ctypes.data, work.ctypes.data)
+        _table().ctypes.data, room("transforms", WORK).ctypes.data)
     return rows
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, of_file, routine
+from hydroopt.kernels.thread_memory import room
 from hydroopt.spatial.inertia import Array
 
 PARTS = 4
@@ -33,7 +34,7 @@ def phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, a
     if (run := _compiled()) is None:
         return None
     (rows, joints), made = angles.shape, np.empty((3, angles.shape[1], len(t)), dtype=bool)
-    sums = np.empty((joints, rows + 1))
+    sums = room("phases", joints * (rows + 1))
     held = [np.ascontiguousarray(each, dtype=float) for each in (t, shifts, slow, apart)]
     strides = [[step // 8 for step in each.strides] for each in (angles, speeds)]
     assert len(shifts) == PARTS + 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import accumulate, pairwise
@@ -12,22 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, of_file, routine
+from hydroopt.kernels.thread_memory import room
 from hydroopt.spatial.inertia import Array
 
-PANEL, ROWS, LANES = 4, 376, 8
-"""Of triangle.c: columns reflected together, rows at a time, and numbers in a register at most."""
+PANEL, ROWS = 4, 376
+"""Of triangle.c: columns reflected together, and rows at a time."""
 TRIANGLE = -1
 """Number of waiting rows where they are a triangle."""
 Edges = Sequence[int] | NDArray[np.intp]
-
-
-class _Memory(threading.local):
-    """Memory of a thread: fresh memory for each block would cost as much as its copy."""
-
-    work = np.empty(0)
-
-
-_memory = _Memory()
 
 
 class Triangles:
@@ -64,9 +55,7 @@ class Triangles:
         if (run := _compiled()) is None:
             self._fold(rows if places is None else rows[places], edges)
             return
-        if _memory.work.size < self._width * ROWS + LANES:
-            _memory.work = np.empty(self._width * ROWS + LANES)
-        work = _memory.work[-(_memory.work.ctypes.data // 8) % LANES :]  # from a cache line on
+        work = room("rows", self._width * ROWS)
         ends, some = (None if x is None else np.ascontiguousarray(x, dtype=ctypes.c_long) for x in (edges, places))
         assert ends is not None
         down, across = (step // rows.itemsize for step in rows.strides)

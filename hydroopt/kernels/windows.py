@@ -12,6 +12,7 @@ from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 
 from hydroopt.kernels.shared_library import of_file
+from hydroopt.kernels.thread_memory import room
 from hydroopt.spatial.inertia import Array
 
 WIDTH, LANES = 6, 4
@@ -48,15 +49,18 @@ class Windows:
 
 
 class Factors:
-    """Cholesky factors of ``gram + weight·penalty`` (m, m), in lower band storage (6, m), for some weights (k,)."""
+    """Cholesky factors of ``gram + weight·penalty`` (m, m), in lower band storage (6, m), for some weights (k,), until
+    this thread makes others."""
 
     def __init__(self, library: ctypes.CDLL, gram: Array, penalty: Array, weights: Sequence[float]) -> None:
         self._library, self._columns, self._count = library, gram.shape[1], len(weights)
         self._parts = []
         turned = [np.ascontiguousarray(each.T, dtype=float) for each in (gram, penalty)]
-        for first in range(0, self._count, LANES):
+        size = (self._columns + WIDTH) * WIDTH * LANES
+        every = room("factors", -(-self._count // LANES) * size).reshape(-1, size)
+        for first, made in zip(range(0, self._count, LANES), every, strict=True):
             lanes = np.resize(np.array(weights[first : first + LANES], dtype=float), LANES)
-            made = np.zeros((self._columns + WIDTH, WIDTH, LANES))
+            made[: WIDTH * WIDTH * LANES] = 0.0
             library.factors(ctypes.c_long(self._columns), *(_at(each) for each in (*turned, lanes, made)))
             self._parts.append(made)
 

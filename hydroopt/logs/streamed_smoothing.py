@@ -41,12 +41,13 @@ class Smoother:
         Raises:
             LogError: a stretch is too short.
         """
-        out = np.full((3, *q.shape), np.nan)
+        out = np.empty((3, *q.shape))
         interior = np.zeros(t.size, bool)
         edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             span = slice(start, stop)
             if not needed[span].any():
+                out[:, span] = np.nan
                 continue
             refuse_too_short(stop - start, where)
             for grid in dict.fromkeys(self.grids):
@@ -55,7 +56,11 @@ class Smoother:
                 joints = some if len(some) < len(self.grids) else slice(None)
                 coefficients = basis.solve_each([self.filters[j] for j in some],
                                                 basis.design.gathered(q[span, joints]))
-                out[:, span, joints] = basis.courses(coefficients)
+                made = basis.courses(coefficients)
+                if made.shape == out.shape:  # of all at once
+                    out = made
+                else:
+                    out[:, span, joints] = made
             interior[span] = inside(t[span], self.bandwidth)
         passes = np.array([one.passes for one in self.filters])
         return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth, passes, self.notes)
