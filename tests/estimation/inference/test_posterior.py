@@ -83,6 +83,20 @@ def test_truncated_normal_where_a_friction_meets_its_bound(free_wheel: Identific
     assert np.all(samples[:, 1] >= 0)
 
 
+def test_truncated_normal_where_nominal_parameters_are_excluded(free_wheel: IdentificationProblem,
+                                                                  monkeypatch: pytest.MonkeyPatch) -> None:
+    least, found = free_wheel.parameters.nominal[1] + 40.0, []
+    excluding = free_wheel.subject_to("rough", lambda p: p["drive.tau_coulomb"] >= least)
+    own = posterior.sdp.inner_point
+    monkeypatch.setattr(posterior.sdp, "inner_point", lambda *a, **k: found.append(own(*a, **k)) or found[-1])
+    samples = pooled(excluding, np.eye(4), np.array([10.0, least - 1.0, 30.0, 30.0]), runs=6)
+    assert len(found) == 6  # where the chains begin
+    exact = truncnorm(1.0, np.inf, loc=least - 1.0, scale=1.0)
+    for probability in (0.025, 0.5, 0.975):
+        assert exact.cdf(np.quantile(samples[:, 1], probability)) == pytest.approx(probability, abs=0.03)
+    assert np.all(samples[:, 1] >= least)
+
+
 @pytest.mark.slow
 def test_body_at_the_edge_of_existence(one_body: Callable[..., IdentificationProblem]) -> None:
     """Rejection sampling: draw from the Gaussian, keep the bodies that can exist."""
