@@ -199,14 +199,21 @@ class LogStream:
 
     def _moves(self, channel: Sequence[str]) -> list[Array]:
         """How far each of some channels moves in each block of rows."""
-        moves: list[list[Array]] = [[] for _ in channel]
-        for samples in self.read(_ranges(self.rows, self.piece // BLOCK * BLOCK or BLOCK), channel):
-            for name, some in zip(channel, moves, strict=True):
+        moves: dict[str, list[Array]] = {name: [] for name in channel if name not in self._moved}
+        ranges = _ranges(self.rows, self.piece // BLOCK * BLOCK or BLOCK)
+        for samples in self.read(ranges, moves) if moves else ():
+            for name, some in moves.items():
                 starts = np.arange(0, samples.t.size, BLOCK)
                 with np.errstate(invalid="ignore"):  # of infinities
                     some.append(np.fmax.reduceat(samples.channels[name], starts)
                                 - np.fmin.reduceat(samples.channels[name], starts))
-        return [np.nan_to_num(np.concatenate(parts)) for parts in moves]
+        self._moved.update({name: np.nan_to_num(np.concatenate(parts)) for name, parts in moves.items()})
+        return [self._moved[name] for name in channel]
+
+    @cached_property
+    def _moved(self) -> dict[str, Array]:
+        """What `_moves` has found."""
+        return {}
 
     @property
     def grid(self) -> Grid:

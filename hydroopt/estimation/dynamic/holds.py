@@ -127,14 +127,14 @@ class HoldEquations:
     bound: float
     noise: float
 
-    @property
+    @cached_property
     def differences(self) -> Array:
-        """Rows (h − 1, c+1) without what all holds have in common; their errors are independent and of one size."""
-        count = len(self.means)
-        if count < 2:
-            return np.zeros((0, len(self.own) + 1))
-        across = np.linalg.qr(np.column_stack([np.ones(count), np.eye(count)[:, 1:]]))[0][:, 1:]
-        return np.asarray(across.T @ self.means)
+        """Rows (h − 1, c+1) without what all holds have in common; their errors are independent and of one size: each
+        hold but the first one, less the mean of these two and of all later ones (Helmert's contrasts)."""
+        off = self.means - self.means[:1]
+        later = np.cumsum(off[:0:-1], axis=0)[::-1]  # with itself; the first one is zero
+        count = np.arange(len(later) + 1, 1, -1)[:, None]
+        return np.asarray((off[1:] - later / count) / np.sqrt(1 - 1 / count))
 
     @property
     def presumed(self) -> float:

@@ -112,6 +112,17 @@ def test_friction_at_rest_does_not_bias_gravity(at_rest: str) -> None:
     assert len(np.unique(np.array(scaled)[:, 0])) == 6
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 40])
+def test_differences_are_what_a_qr_leaves_beside_the_mean(count: int) -> None:
+    means = 1e4 + np.random.default_rng(count).standard_normal((count, 4))
+    found = HoldEquations(np.arange(3), means, 1.0, 1.0).differences
+    across = np.linalg.qr(np.column_stack([np.ones(count), np.eye(count)[:, 1:]]))[0][:, 1:] if count else means
+    wanted = across.T @ means if count else means
+    assert found.shape == (max(count - 1, 0), 4)
+    np.testing.assert_allclose(np.abs(found), np.abs(wanted), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.T @ found, wanted.T @ wanted, rtol=0, atol=1e-9)
+
+
 def swing_and_rest() -> Trajectory:
     """Three swings of four seconds each, and two seconds of rest after each of them."""
     t = np.arange(0, 18, 1 / RATE)
