@@ -289,7 +289,7 @@ def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spect
     """Those of actuator i with the parameters `friction` (p,); None where it has none."""
     scale = parameters.scale
     at = np.flatnonzero(np.isin(channel.columns, logs[0].contrast[i]))
-    rows = np.vstack(channel.rows)[:, :-1]
+    rows = channel.stacked[:, :-1]
     size = np.linalg.norm(rows[:, at], axis=0)
     force = float(np.linalg.norm(rows @ friction[channel.columns]))
     at, size = at[size > 0], size[size > 0]
@@ -306,7 +306,7 @@ def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spect
     left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
     left = left[:, singular > ROUNDING_TOLERANCE * singular[0]]
     right = left.T @ without(basis, np.concatenate([one.right for one in each]))
-    grams = [np.vstack(one.rows)[:, :-1] for one in own]
+    grams = [one.stacked[:, :-1] for one in own]
     return _OwnFriction(tuple(parameters.kinds[k] for k in channel.columns[at]), left.T @ without(basis, Z), right,
                         tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams))
 

@@ -55,9 +55,14 @@ class Channel:
     counts: Array
 
     @cached_property
+    def stacked(self) -> Array:
+        """All rows (m, c+1), band after band."""
+        return np.vstack(self.rows)
+
+    @cached_property
     def triangle(self) -> Array:
-        """R (·, c+1) of a QR of all rows."""
-        return np.asarray(np.linalg.qr(np.vstack(self.rows), mode="r"))
+        """R (·, c+1) of a QR of them."""
+        return np.asarray(np.linalg.qr(self.stacked, mode="r"))
 
 
 class Spectrum(NamedTuple):
@@ -116,7 +121,7 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
     weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
     freedom, belief = counts.copy(), 1.0
     # coordinates z in which weighted rows and priors are orthonormal at first, so that products of rows are harmless
-    whole = [np.vstack(channel.rows) for channel in channels]
+    whole = [channel.stacked for channel in channels]
     stacked = np.vstack([*(_all_columns(np.sqrt(w) * channel.triangle[:, :-1], channel.columns, len(scale))
                            for w, channel in zip(weight, channels, strict=True)), prior[0]])
     _, singular, axes = np.linalg.svd(np.linalg.qr(stacked * scale, mode="r"), full_matrices=False)

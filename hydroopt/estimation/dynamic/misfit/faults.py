@@ -325,10 +325,8 @@ class Bodies(Fault):
     def effect(self, view: View, size: float) -> Array:
         """What their nominal numbers do."""
         parameters = view.model.parameters
-        chosen = np.zeros(len(parameters))
-        for owner in self.owners:
-            chosen[parameters.bodies[owner]] = parameters.nominal[parameters.bodies[owner]]
-        return np.asarray(size * (view.regressor @ chosen))
+        own = [parameters.bodies[owner] for owner in self.owners]
+        return np.asarray(size * sum(view.regressor[:, :, columns] @ parameters.nominal[columns] for columns in own))
 
 
 def _only(change: NDArray[Any], readings: tuple[int, ...]) -> NDArray[Any]:
