@@ -1,7 +1,8 @@
 """Criteria of experiment design: functions of the information matrix, with exact derivatives.
 
-D: logarithm of the determinant of the covariance, divided by its size; A: sum of the variances; E: logarithm of the
-largest variance of any combination; condition: logarithm of the condition number of the weighted regressor.
+D: logarithm of the determinant of the covariance, divided by its size; A: logarithm of the mean variance; E: logarithm
+of the largest variance of any combination; condition: logarithm of the condition number of the weighted regressor.
+D, A and E are Kiefer's family Φₚ of means of the covariance's eigenvalues with p = 0, 1 and ∞, so that D ≤ A ≤ E.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 CRITERIA = ("D", "A", "E", "condition")
-SLOW = 0.02
-"""Speed [rad/s, m/s] over which the sign of Coulomb friction is smoothed for derivatives."""
+SLOW, FLAT = 0.04, 1e-3
+"""Speed of the joints [rad/s, m/s] over which the sign of Coulomb friction is smoothed for derivatives, and the part of
+it that is left where a pin does not turn with the joints."""
 FAINT_INFORMATION = 1e-5
 """Square root of the information added to every scaled parameter: negligible, but it keeps every criterion finite."""
 
@@ -169,9 +171,20 @@ def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float,
         return float(2 * np.mean(np.log(np.abs(np.diag(spread))))), -whitened.T @ whitened / len(focus)
     _, inner, turn = np.linalg.svd((focus @ root).T, full_matrices=False)
     if criterion == "A":
-        return float(np.sum(inner**2)), -rows.T @ rows
+        total = float(np.sum(inner**2))
+        return float(np.log(total / len(focus))), -rows.T @ rows / total
     worst = turn[0] @ rows / inner[0]
     return float(2 * np.log(inner[0])), -np.outer(worst, worst)
+
+
+def _smooth_sign(rate: ca.SX, states: Sequence[ca.SX]) -> ca.SX:
+    """The sign of a rate of the states q, qd, qdd, smoothed over what slow joints make of it.
+
+    So the speeds of a cylinder and of its pins change sign alike. Smoothed over one speed for all of them, their
+    frictions would seem to be told apart near standstill, and a search would improve what no motion tells.
+    """
+    by_joint = ca.jacobian(rate, states[1])
+    return rate / ca.sqrt(rate**2 + SLOW**2 * (ca.sumsqr(by_joint) + FLAT**2))
 
 
 class Information:
@@ -185,20 +198,30 @@ class Information:
         columns = parameters.columns.tolist()
         K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
         exact = program(ca.Function("base_regressor", [*states], [K]))
-        self.regressor, self.smooth = exact.function(), exact.function(lambda v: v / ca.sqrt(v**2 + SLOW**2))
+        self.regressor, self.smooth = exact.function(), exact.function(_smooth_sign)
         K = self.smooth(*states)
         G = ca.SX.sym("G", K.numel())
         product = ca.dot(ca.vec(K), G)
         values, vectors = np.linalg.eigh(parameters.prior)
-        # equal information on all parameters would make standstill the motion with the best condition number
-        faint = 0.0 if criterion == "condition" else FAINT_INFORMATION
-        self.prior_root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-        self.faint_root = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
+        self.prior_root: Array = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        self._faint_root: Array = np.sqrt(np.maximum(values, FAINT_INFORMATION**2))[:, None] * vectors.T
         self.state_gradient = ca.Function(
             "state_gradient", [*states, G], [ca.vertcat(*(ca.gradient(product, x) for x in states))])
 
     def __reduce__(self) -> tuple[type[Information], tuple[object, ...]]:
         return Information, (self.model, self.parameters, self.criterion)
+
+    def by(self, criterion: str) -> Information:
+        """The same information, judged by another criterion."""
+        made = Information.__new__(Information)
+        made.__dict__ = self.__dict__ | {"criterion": criterion}
+        return made
+
+    @property
+    def faint_root(self) -> Array:
+        """Root (r, r) of what is known before the motion, and a little of what is not."""
+        # equal information on all parameters would make standstill the motion with the best condition number
+        return self.prior_root if self.criterion == "condition" else self._faint_root
 
     def factor(self, q: Array, qd: Array, qdd: Array, rate: float) -> Array:
         """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each weighted as `rate` samples.

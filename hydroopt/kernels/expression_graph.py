@@ -96,8 +96,9 @@ class Program(NamedTuple):
         return (_ordered(name, self.inputs, [before], self.nodes),
                 _ordered(self.name, (*self.inputs, Input(name, len(edge))), list(self.outputs), rest))
 
-    def function(self, sign: Callable[[ca.SX], ca.SX] = ca.sign) -> ca.Function:
-        """The same as a casadi.Function with dense outputs, if need be with another function for the sign."""
+    def function(self, sign: Callable[[ca.SX, Sequence[ca.SX]], ca.SX] | None = None) -> ca.Function:
+        """The same as a casadi.Function with dense outputs, if need be with another function for the sign of a value,
+        which also receives the inputs."""
         given = [ca.SX.sym(each.name, each.size) for each in self.inputs]
         values: list[ca.SX] = []
 
@@ -122,7 +123,7 @@ class Program(NamedTuple):
                 case "pow":
                     values.append(operands[0] ** operands[1])
                 case "sign":
-                    values.append(sign(operands[0]))
+                    values.append(ca.sign(operands[0]) if sign is None else sign(operands[0], given))
                 case _:
                     values.append(getattr(ca, node.op)(*operands))
         results = [ca.reshape(ca.vertcat(*map(of, out.entries)), out.columns, out.rows).T for out in self.outputs]

@@ -256,7 +256,7 @@ class Plant(Shown):
     @cached_property
     def _efforts(self) -> ca.Function:
         """`Model.efforts` with rounded dry friction and without offsets of transducers."""
-        smooth = program(self.model.efforts).function(lambda speed: ca.tanh(speed / SIGN_WIDTH))
+        smooth = program(self.model.efforts).function(lambda speed, _: ca.tanh(speed / SIGN_WIDTH))
         given = [ca.SX.sym(name, *smooth.size_in(name)) for name in smooth.name_in()]
         acting = ca.DM([kind is not ParameterKind.FORCE_OFFSET for kind in self.model.parameters.kinds])
         return ca.Function("efforts", given, [*smooth(*given[:-1], given[-1] * acting)], smooth.name_in(),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hydroopt.limits.reserves import Reserves
     from hydroopt.limits.use import UseOfLimit
 
-IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "sum of variances (A)",
+IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "mean variance (A)",
             "E": "greatest variance of any combination (E)", "condition": "condition number of the regressor"}
 PLACES = ("workspace", "above ground", "distance of")
 """Limits that the machine in space shows."""

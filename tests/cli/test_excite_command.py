@@ -28,7 +28,7 @@ from hydroopt.excitation.criteria import CRITERIA, presumed_noise
 from hydroopt.spatial.inertia import NAMES
 
 Array = np.ndarray
-QUICK = ("--duration", "8", "--starts", "4", "--processes", "1", "--seconds", "2")
+QUICK = ("--duration", "8", "--starts", "4", "--processes", "1")
 SERIES = ("patu655_lift", *QUICK, "--blend", "1", "--harmonics", "3")
 SPLINE = ("patu655_lift", *QUICK, "--pieces", "7")
 RESTING = ("cat215b", *QUICK, "--blend", "1", "--harmonics", "2", "--rest", "swing = 10 deg")
@@ -324,22 +324,24 @@ def covariance(directory: Path) -> tuple[Array, list[str]]:
 def judged(criterion: str, spread: Array) -> float:
     """Logarithm of what a criterion says of a covariance."""
     values = np.linalg.eigvalsh(spread)
-    return float({"D": np.mean(np.log(values)), "A": np.log(np.sum(values)), "E": np.log(values[-1]),
+    return float({"D": np.mean(np.log(values)), "A": np.log(np.mean(values)), "E": np.log(values[-1]),
                   "condition": np.log(values[-1] / values[0]) / 2}[criterion])
 
 
 @pytest.mark.slow
-def test_each_criterion_is_best_served_by_the_motion_for_it(written: Callable[..., Path]) -> None:
-    made = {each: covariance(written(*SERIES, "--criterion", each))[0] for each in CRITERIA}
+@pytest.mark.parametrize("seed", range(3))
+def test_each_criterion_is_best_served_by_the_motion_for_it(seed: int, written: Callable[..., Path]) -> None:
+    """With as many starts as there are without an option: four may all miss the best of this lift's many optima."""
+    asked = (*SERIES, "--starts", "16", "--seed", seed, "--criterion")
+    made = {each: covariance(written(*asked, each))[0] for each in CRITERIA}
     for criterion in CRITERIA:
-        said = content(written(*SERIES, "--criterion", criterion))
+        said = content(written(*asked, criterion))
         assert said["criterion"] == criterion
         own = judged(criterion, made[criterion])
-        assert all(own <= judged(criterion, other) + 0.1 for other in made.values()), criterion
-        value = np.log(said["value"]) if criterion == "A" else said["value"]
-        assert value == pytest.approx(own, abs=1e-4)
+        assert all(own <= judged(criterion, other) + 0.05 for other in made.values()), criterion
+        assert said["value"] == pytest.approx(own, abs=1e-4)
     assert judged("D", made["D"]) < judged("D", made["condition"])
-    assert content(written(*SERIES, "--criterion", "condition"))["condition_numbers"]["scaled"] == pytest.approx(
+    assert content(written(*asked, "condition"))["condition_numbers"]["scaled"] == pytest.approx(
         np.sqrt(np.linalg.cond(made["condition"])), rel=0.02)
 
 
@@ -391,7 +393,7 @@ def test_processes_side_by_side_find_the_same(tmp_path: Path) -> None:
     found = []
     for processes in ("1", "2"):
         excite("patu655_lift", "--duration", "8", "--blend", "1", "--harmonics", "2", "--starts", "2",
-               "--seconds", "60", "--processes", processes, "-o", tmp_path / processes, "--quiet")
+               "--processes", processes, "-o", tmp_path / processes, "--quiet")
         found.append(content(tmp_path / processes))
     assert found[0]["value"] == pytest.approx(found[1]["value"], abs=1e-9)
     for joint, coefficients in found[0]["coefficients"].items():

@@ -1,10 +1,10 @@
 """The motion with the most information on a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
 Coefficients of the motion are the variables of a nonlinear problem with exact first derivatives, which is solved from
-many starts, in parallel processes: all take some steps, and the best of them go on. What it returns is checked at the
-controller's rate and, if a limit is violated in between, scaled towards a posture at rest until none is: a returned
-motion satisfies all limits. Passive joints are designed as variables that nearly balance themselves; at last they are
-simulated as they swing.
+many starts, in parallel processes: all take some steps, first by the criterion D, and the best of them go on. What it
+returns is checked at the controller's rate and, if a limit is violated in between, scaled towards a posture at rest
+until none is: a returned motion satisfies all limits. Passive joints are designed as variables that nearly balance
+themselves; at last they are simulated as they swing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.excitation.criteria import Information, design_parameters, presumed_noise
+from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import measured_information
@@ -45,8 +45,10 @@ from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
 
-FIRST_STEPS = 30
-"""Steps that each start takes before the best go on."""
+FIRST_CRITERION, FIRST_STEPS, OWN_STEPS = "D", 25, 15
+"""Criterion by which each start takes so many steps, and steps by another criterion before the best by it go on. D asks
+for all combinations of parameters at once. A, E and the condition number see little but the worst one, follow it from a
+random motion into poor local optima, and say little of where a search will end before they have been followed."""
 PART, FEWEST = 4, 4
 """One start in so many goes on, and so many at least."""
 RANDOM_MOTIONS = 4
@@ -57,8 +59,8 @@ STILL = 1e-6
 """Speed [rad/s, m/s] below which a motion counts as standstill."""
 SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
-Report = Callable[[int, float | None], None]
-"""Receives a start, and a better value or that its search has ended."""
+Report = Callable[[int, str, float | None], None]
+"""Receives a start, its criterion, and a better value or that its search has ended."""
 T = TypeVar("T")
 
 
@@ -134,15 +136,16 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
     at_rest = resting_posture(problem, np.random.default_rng(seed))
     kept = min(max(-(-starts // PART), FEWEST), starts)
     end = np.inf if seconds is None else time.time() + seconds
-    criterion, best, done = problem.information.criterion, np.inf, 0.0
+    best, done = dict.fromkeys(CRITERIA, np.inf), 0.0
 
-    def report(start: int, value: float | None) -> None:
-        nonlocal best, done
+    def report(start: int, criterion: str, value: float | None) -> None:
+        nonlocal done
         if value is None:  # a search has ended
             done += 1.0 / (starts + kept)
         else:
-            best = min(best, value)
-            progress(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}", min(done, 1.0))
+            best[criterion] = min(best[criterion], value)
+            progress(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best[criterion]:.4g}",
+                     min(done, 1.0))
 
     with (deferred() as interrupted,
           _workers(problem, at_rest, min(processes, starts), end, interrupted, report) as run):
@@ -253,27 +256,31 @@ def _begun(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], stop:
     start = seed[1]
     if stop.interrupted() or (stop() and start > 0):
         return None
-    rng = np.random.default_rng(seed)
-    random = min((random_motion(problem, rest, rng) for _ in range(RANDOM_MOTIONS)), key=problem.value)
-    search = sequential_quadratic_programming(problem, Search.at(random), BACK_OFF, stop, partial(report, start),
-                                              FIRST_STEPS)
-    report(start, None)
+    rng, first = np.random.default_rng(seed), problem.by(FIRST_CRITERION)
+    random = min((random_motion(problem, rest, rng) for _ in range(RANDOM_MOTIONS)), key=first.value)
+    search = sequential_quadratic_programming(first, Search.at(random), BACK_OFF, stop,
+                                              partial(report, start, FIRST_CRITERION), FIRST_STEPS)
+    if (criterion := problem.information.criterion) != FIRST_CRITERION:
+        search = sequential_quadratic_programming(problem, search.again(), BACK_OFF, stop,
+                                                  partial(report, start, criterion), OWN_STEPS)
+    report(start, criterion, None)
     return _Begun(start, random, search)
 
 
 def _ended(problem: ExcitationProblem, rest: Array, begun: _Begun, stop: _Stop,
            report: Report) -> tuple[Array, tuple[float, float]]:
     """The best motion found from a start, and its rank."""
-    search, back_off = begun.search, BACK_OFF
+    search, back_off, criterion = begun.search, BACK_OFF, problem.information.criterion
     for _ in range(ROUNDS):
-        search = sequential_quadratic_programming(problem, search, back_off, stop, partial(report, begun.start))
+        search = sequential_quadratic_programming(problem, search, back_off, stop,
+                                                  partial(report, begun.start, criterion))
         over = problem.excess(search.best, problem.fine)
         if over <= 0:
             break
         back_off += BACK_OFF / 4 + 1.5 * over  # violated between the times of the grid
         search = search.again()
     best = min(begun.random, shrunk(problem, search.best, rest), key=problem.rank)
-    report(begun.start, None)
+    report(begun.start, criterion, None)
     return best, problem.rank(best)
 
 
@@ -283,11 +290,11 @@ class _Worker:
     problem: ExcitationProblem
     rest: Array
     stop: _Stop
-    values: Queue[tuple[int, float | None]]
+    values: Queue[tuple[int, str, float | None]]
 
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, end: float, stop: Event,
-              values: Queue[tuple[int, float | None]]) -> None:
+              values: Queue[tuple[int, str, float | None]]) -> None:
         ignore()
         cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop.at(stop.is_set, end), values
 

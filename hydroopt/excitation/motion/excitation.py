@@ -358,8 +358,6 @@ class Excitation(Answer):
         geometric mean for D, root mean square for A, the largest for E; or the ratio of condition numbers.
         """
         criterion, other = self.problem.information.criterion, self.best_random.value
-        if criterion == "A":
-            return float(np.sqrt(other / self.value))
         return float(np.exp((other - self.value) / (1.0 if criterion == "condition" else 2.0)))
 
 

@@ -95,6 +95,20 @@ class ExcitationProblem(Shown):
     def __reduce__(self) -> tuple[type[ExcitationProblem], tuple[object, ...]]:
         return ExcitationProblem, (self.information, self.limits, self.basis, self.rate, self.resting, self.inputs)
 
+    def by(self, criterion: str) -> ExcitationProblem:
+        """The same design by another criterion.
+
+        Example:
+            >>> import hydroopt as ho
+            >>> from hydroopt.excitation.motion.basis import Fourier
+            >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
+            >>> problem.by("E").information.criterion
+            'E'
+        """
+        made = ExcitationProblem.__new__(ExcitationProblem)
+        made.__dict__ = self.__dict__ | {"information": self.information.by(criterion)}
+        return made
+
     @property
     def machine(self) -> Machine:
         """The machine that moves."""
@@ -247,7 +261,7 @@ class ExcitationProblem(Shown):
             joints = len(self.resting_position)
             found = found[:, :, [order * joints + k for order in range(3) for k in self.active]]
         units = np.tile(self.size, 3) / self.limits.scale[:, None]
-        return np.reshape(found.reshape(len(found), -1) * units.ravel(), found.shape)
+        return np.asarray(np.multiply(found, units, order="C"))  # for products time by time
 
     @cached_property
     def _functions(self) -> Array:

@@ -8,7 +8,7 @@ import pytest
 from fixtures.tiers import tiered
 from hydroopt import Model, load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters
+from hydroopt.excitation.criteria import CRITERIA, SLOW, Information, design_parameters
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.problem import ExcitationProblem
@@ -69,9 +69,25 @@ def test_criteria_are_those_of_the_covariance(model: Model) -> None:
     covariance = np.linalg.inv(factor.T @ factor)
     eigenvalues = np.linalg.eigvalsh(covariance)
     np.testing.assert_allclose(of["D"].of(factor)[0], np.mean(np.log(eigenvalues)), rtol=1e-6)
-    np.testing.assert_allclose(of["A"].of(factor)[0], np.trace(covariance), rtol=1e-6)
+    np.testing.assert_allclose(of["A"].of(factor)[0], np.log(np.mean(np.diag(covariance))), rtol=1e-6)
     np.testing.assert_allclose(of["E"].of(factor)[0], np.log(eigenvalues[-1]), rtol=1e-6)
     np.testing.assert_allclose(of["condition"].of(factor)[0], np.log(eigenvalues[-1] / eigenvalues[0]) / 2, rtol=1e-6)
+
+
+def test_smooth_signs_tell_no_more_than_signs(model: Model) -> None:
+    """Frictions of a cylinder, of its pins and of the joint that it drives: all signs are smoothed alike."""
+    asked = design_parameters(model, force_noise(model))
+    own = [k for k, name in enumerate(asked.names) if name in (
+        "boom.tau_coulomb", "boom_cylinder.f_coulomb", "boom_cylinder.n_barrel", "boom_cylinder.n_rod")]
+    assert len(own) == 4
+    information, motion = Information(model, asked, "D"), random_trajectory(model, duration=20, rate=20, seed=3)
+    exact, smooth = (model.over(each, motion.q, motion.qd, motion.qdd)[0][:, 1][:, own]
+                     for each in (information.regressor, information.smooth))
+    speed = motion.qd[:, 1]
+    moves = (np.abs(speed) > 1e-3) & np.all(np.abs(exact) > 0.05 * np.max(np.abs(exact), axis=0), axis=1)
+    assert np.mean(moves) > 0.5
+    np.testing.assert_allclose(
+        (smooth / exact)[moves], np.repeat((np.abs(speed) / np.hypot(speed, SLOW))[moves, None], 4, axis=1), rtol=1e-2)
 
 
 def test_limits_are_what_their_names_say(model: Model) -> None:
