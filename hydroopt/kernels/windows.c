@@ -57,8 +57,10 @@ EXPORT void weights(long rows, const double *x, const int *cell, long count, con
     for (long k = 0; k < count; k++)
         for (int a = 0; a < WIDTH; a++) p[k][a] = powers[k * WIDTH + a];
     for (long i = 0; i < rows; i++, made += WIDTH) {
-        wide v = p[count - 1];
-        for (long k = count - 2; k >= 0; k--) v = v * (x[i] - cell[i]) + p[k];
+        const double u = x[i] - cell[i];
+        double power = 1;
+        wide v = p[0];
+        for (long k = 1; k < count; k++) power *= u, v += power * p[k];
         if (i + 1 < rows) *(wide *)made = v;
         else for (int a = 0; a < WIDTH; a++) made[a] = v[a];
     }
