@@ -10,7 +10,7 @@ and the same power is exact again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -73,11 +73,14 @@ class Interior(NamedTuple):
         return 0.5 * (1 - np.sum(self.root**2, axis=0)), -(self.centre @ self.root)
 
 
-def interior(start: Array, root: Array, right: Array, matrices: Callable[[Array], Matrices], single: Slack) -> Interior:
-    """The Gaussian that stands in for ``exp(−½‖root·z − right‖²)``, times log-det distances, within inequalities.
+def interior(starts: Iterable[Array], root: Array, right: Array, matrices: Callable[[Array], Matrices],
+             single: Slack) -> Interior | None:
+    """The Gaussian that stands in for ``exp(−½‖root·z − right‖²)``, times log-det distances, within inequalities; None
+    without a start.
 
     Args:
-        start: (k,) a point strictly inside.
+        starts: points (k,) strictly inside, of which the first counts from which Newton's steps come to their end, or
+            else the last.
         root: (m, k) and right (m,).
         matrices: those at z that must be positive definite.
         single: functions (m,) of z that must be positive, and their slopes (m, k).
@@ -95,18 +98,28 @@ def interior(start: Array, root: Array, right: Array, matrices: Callable[[Array]
         gradient, curvature = _derivatives(matrices(z), single(z))
         return gradient + root.T @ (root @ z - right), curvature + root.T @ root
 
-    z, lowest = start, objective(start)
-    for _ in range(STEPS):
-        gradient, curvature = derivatives(z)
-        step = -np.linalg.solve(curvature, gradient)
-        decrement, part = -float(gradient @ step), 1.0
-        if decrement < DECREMENT:
+    def ended(z: Array) -> tuple[Array, bool]:
+        lowest = objective(z)
+        for _ in range(STEPS):
+            gradient, curvature = derivatives(z)
+            step = -np.linalg.solve(curvature, gradient)
+            decrement, part = -float(gradient @ step), 1.0
+            if decrement < DECREMENT:
+                return z, True
+            while (value := objective(z + part * step)) > lowest - 1e-4 * part * decrement and part > SMALLEST_STEP:
+                part /= 2
+            if part <= SMALLEST_STEP:
+                break
+            z, lowest = z + part * step, value
+        return z, False
+
+    z, done = None, False
+    for start in starts:
+        z, done = ended(start)
+        if done:
             break
-        while (value := objective(z + part * step)) > lowest - 1e-4 * part * decrement and part > SMALLEST_STEP:
-            part /= 2
-        if part <= SMALLEST_STEP:
-            break
-        z, lowest = z + part * step, value
+    if z is None:
+        return None
     size, axes = np.linalg.eigh(derivatives(z)[1])
     # barriers only add to the Gaussian's curvature: what is below it is rounding beside a barrier that is almost met
     return Interior(z, axes / np.sqrt(np.maximum(size, np.linalg.svd(root, compute_uv=False)[-1] ** 2)))

@@ -12,7 +12,7 @@ constraint, and those of the active set alone too small.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -115,10 +115,10 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     if gaussian is None:
         return None
     inequalities = _Inequalities(problem, gaussian, user, conditions, Interior.of(len(gaussian.slope.T)))
-    inner = _possible_point(problem, gaussian, user, inequalities, psi, consistent=consistent)
-    if inner is None:
+    inside = interior(_possible_points(problem, gaussian, user, inequalities, psi, consistent=consistent),
+                      gaussian.root, gaussian.right, inequalities.matrices, inequalities.single)
+    if inside is None:
         return None
-    inside = interior(inner, gaussian.root, gaussian.right, inequalities.matrices, inequalities.single)
     rng = np.random.default_rng(seed)
     chains = _Chains.standing_in(inequalities.about(inside), rng)
     settled, earlier = False, list[Array]()
@@ -151,9 +151,10 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     return Posterior(drawn, own, samples.mean(axis=0) if possible else None, note, settled)
 
 
-def _possible_point(problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
-                    inequalities: _Inequalities, psi: Array, *, consistent: bool) -> Array | None:
-    """A point z (k,) inside: the nominal parameters, a little away from bounds, or else one near the estimate ψ."""
+def _possible_points(problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
+                     inequalities: _Inequalities, psi: Array, *, consistent: bool) -> Iterator[Array]:
+    """Points z (k,) inside: the nominal parameters, a little away from bounds, and one near the estimate ψ, which takes
+    longer to find."""
     parameters = problem.parameters
     away = np.minimum(0.1 * parameters.scale, 0.25 * (parameters.upper - parameters.lower))
     nominal = np.clip(parameters.nominal, parameters.lower + away, parameters.upper - away)
@@ -161,12 +162,12 @@ def _possible_point(problem: InferenceProblem, gaussian: GaussianPosterior, user
     slope, offset = gaussian.slope / parameters.scale[:, None], gaussian.offset
     stated, start = np.linalg.lstsq(slope, ((np.stack([nominal, psi]) - offset) / parameters.scale).T, rcond=None)[0].T
     if inequalities.possible(stated):
-        return np.asarray(stated)
+        yield np.asarray(stated)
     for distance in (1e-1, 1e-2, 1e-3):
         inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
         if inner is not None and inequalities.possible(inner := user.inwards(inner, gaussian, distance)):
-            return inner
-    return None
+            yield inner
+            return
 
 
 @dataclass(frozen=True, eq=False)

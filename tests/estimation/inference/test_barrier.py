@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hydroopt.estimation.inference import barrier
 from hydroopt.estimation.inference.barrier import SYMMETRIC, Interior, Matrices, Slack, interior
 from hydroopt.estimation.inference.posterior import _settled
 
@@ -14,10 +15,13 @@ FAR = 1e3
 """Standard deviations from the mean to the edge: the density is then exponential."""
 
 
-def of_normal(start: np.ndarray, single: Slack, matrices: Callable[[np.ndarray], Matrices] | None = None) -> Interior:
+def of_normal(start: np.ndarray, single: Slack, matrices: Callable[[np.ndarray], Matrices] | None = None,
+              *more: np.ndarray) -> Interior:
     """What stands in for a standard normal z."""
     none = Matrices(np.zeros((0, 10)), np.zeros((0, 10, len(start))), np.zeros(0))
-    return interior(start, np.eye(len(start)), np.zeros(len(start)), matrices or (lambda _: none), single)
+    found = interior((start, *more), np.eye(len(start)), np.zeros(len(start)), matrices or (lambda _: none), single)
+    assert found is not None
+    return found
 
 
 def test_exponential_density_at_an_edge() -> None:
@@ -28,6 +32,18 @@ def test_exponential_density_at_an_edge() -> None:
     assert np.sqrt(covariance[0, 0]) == pytest.approx(1 / FAR, rel=0.02)
     assert found.centre[1] == pytest.approx(0.0, abs=0.02)
     assert covariance[1, 1] == pytest.approx(1.0)
+
+
+def test_another_start_is_taken_where_steps_from_the_first_do_not_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(barrier, "STEPS", 12)
+
+    def single(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return z[:1] - FAR, np.array([[1.0, 0.0]])
+
+    far, near = np.array([FAR + 1e-12, 3.0]), np.array([FAR + 1e-2, 3.0])
+    assert of_normal(far, single).centre[0] - FAR < 0.1 / FAR  # each step at most doubles the distance to the edge
+    assert of_normal(far, single, None, near).centre[0] - FAR == pytest.approx(1 / FAR, rel=0.02)
+    assert interior([], np.eye(2), np.zeros(2), lambda _: pytest.fail("nothing to ask"), single) is None
 
 
 def test_beside_a_barrier_that_is_almost_met_no_direction_is_wider_than_the_gaussian() -> None:
@@ -52,8 +68,9 @@ def test_wishart_density_at_the_corner_of_all_matrices() -> None:
 def test_density_of_a_distance_alone(weight: float) -> None:
     """exp(−½κ·(tr W − log det W)) is Wishart with κ + 5 degrees of freedom and scale 1/κ, vague as it may be."""
     one, none = np.eye(4)[np.triu_indices(4)], np.zeros((1, 10))
-    found = interior(one, none, np.zeros(1), lambda z: Matrices(z[None], np.eye(10)[None], np.array([weight])),
+    found = interior([one], none, np.zeros(1), lambda z: Matrices(z[None], np.eye(10)[None], np.array([weight])),
                      lambda _: (np.zeros(0), np.zeros((0, 10))))
+    assert found is not None
     np.testing.assert_allclose(found.centre, (weight + 5) / weight * one, atol=0.01)
     of_wishart = np.where(one == 1, 2, 1) * (weight + 5) / weight**2
     np.testing.assert_allclose(np.diag(found.root @ found.root.T), of_wishart, rtol=0.02)
