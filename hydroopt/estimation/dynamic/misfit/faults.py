@@ -324,9 +324,7 @@ class Bodies(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """What their nominal numbers do."""
-        parameters = view.model.parameters
-        own = [parameters.bodies[owner] for owner in self.owners]
-        return np.asarray(size * sum(view.regressor[:, :, columns] @ parameters.nominal[columns] for columns in own))
+        return np.asarray(size * sum(view.of_bodies[owner] for owner in self.owners))
 
 
 def _only(change: NDArray[Any], readings: tuple[int, ...]) -> NDArray[Any]:

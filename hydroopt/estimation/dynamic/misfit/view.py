@@ -258,6 +258,15 @@ class View:
         """Derivatives (N, c, p) of the predicted readings by ψ."""
         return self.regressor_of(self.motion.q, self.motion.qd, self.motion.qdd)
 
+    @cached_property
+    def of_bodies(self) -> Mapping[str, Array]:
+        """What the nominal numbers of each body make of the readings (N, c)."""
+        parameters = self.model.parameters
+        chosen = np.zeros((len(parameters), len(parameters.bodies)))
+        for k, columns in enumerate(parameters.bodies.values()):
+            chosen[columns, k] = parameters.nominal[columns]
+        return dict(zip(parameters.bodies, np.moveaxis(self.regressor @ chosen, 2, 0), strict=True))
+
     def regressor_of(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Derivatives (N, c, p) of the readings of a motion (N, n) by ψ."""
         K = replace(self.experiment, motion=replace(self.motion, q=q, qd=qd, qdd=qdd)).equations(self.psi)[0][0]
