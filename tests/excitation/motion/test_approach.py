@@ -109,6 +109,7 @@ def test_a_reserve_of_what_is_not_limited_is_refused(tmp_path: Path) -> None:
         assert named in str(done.exception)
 
 
+@pytest.mark.slow
 def test_the_sheet_waits_until_a_grapple_hangs_still(tmp_path: Path) -> None:
     """The motion is checked from rest, and the grapple swings at the end of an approach."""
     done = CliRunner().invoke(app, [

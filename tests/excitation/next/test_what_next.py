@@ -293,6 +293,7 @@ def test_machines_with_inclination_alone_need_no_sensor_at_a_vertical_joint() ->
     assert plan.stds[-1, 0] < 0.008 < plan.stds[0, 0]
 
 
+@pytest.mark.slow
 def test_random_motions_leave_out_those_in_which_passive_joints_leave_their_ranges() -> None:
     """Of a crane whose grapple may sway by 25 deg only; by less than any motion makes, designed ones are asked for."""
     def crane(sway: float) -> ho.Machine:
