@@ -366,9 +366,10 @@ def test_focus_serves_what_it_is_on(written: Callable[..., Path]) -> None:
 
 @pytest.mark.slow
 def test_priors_are_asked_for(written: Callable[..., Path]) -> None:
-    said = content(written(*SERIES, "--priors"))
+    whole = *SERIES, "--starts", "16"  # a few end in other optima, and differ by more
+    said = content(written(*whole, "--priors"))
     assert said["priors"]
-    assert said["value"] == pytest.approx(content(written(*SERIES))["value"], abs=0.1)  # they tell little here
+    assert said["value"] == pytest.approx(content(written(*whole))["value"], abs=0.1)  # they tell little here
 
 
 @pytest.mark.slow

@@ -20,8 +20,9 @@ from hydroopt.spatial.inertia import Array
 
 ALLOWED, FEASIBLE = 0.02, 1e-3
 """Violation of a limit, as a part of its scale, that an iterate may have, and that a solution may have."""
-OVERLOOKED, EXACT = 1e-4, 1e-7
-"""Violation that a quadratic program's solution may have of limits that are not in its active set, and its accuracy."""
+OVERLOOKED, EXACT = FEASIBLE, 1e-7
+"""Violation that a quadratic program's solution may have of limits that are not in its active set, and its accuracy: a
+smaller violation calls for more programs a step, and ends no better."""
 NEAR = 0.03
 """Distance to a bound below which a limit belongs to the first active set."""
 MAX_STEPS, MAX_QPS = 400, 12
