@@ -29,6 +29,13 @@ def test_the_table_stands_in_the_order_of_the_goals() -> None:
         "| 30.00 | yes |"]
 
 
+def test_a_goal_that_no_attempt_has_reached_says_why() -> None:
+    missed, kept = table([Row("one sample", 181.0, "CasADi", 272.0), Row("scatter", 2.0)]).splitlines()[2:]
+    assert "| expected failure: stated beside 145 ns" in missed
+    assert kept.endswith("| yes |")
+    assert table([Row("help", 0.16)]).endswith("| no |")
+
+
 def test_the_readme_begins_with_a_row_for_each_goal_in_their_order() -> None:
     lines = (HERE / "bench" / "README.md").read_text("utf-8").splitlines()
     stated = [line for line in lines if line.startswith("| ")][1:]
