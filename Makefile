@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-all lint docs studies studies-quick fuzz kills bench wheel clean
+.PHONY: demo test test-tools test-all lint docs studies studies-quick fuzz kills bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -23,6 +23,10 @@ demo: $(READY)
 # lint, types and every test that is not marked slow
 test: $(READY) lint
 	$(PYTEST)
+
+# the tests that need a tool beside Python, make and a C compiler; fails where one is missing
+test-tools: $(READY)
+	$(PYTEST) -m 'needs and not slow' --need-tools
 
 test-all: $(READY) lint
 	$(PYTEST) -m ''

@@ -12,6 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+import rattler_build
 import yaml
 
 import hydroopt as ho
@@ -76,12 +77,11 @@ def test_the_conda_recipe_states_what_pyproject_states() -> None:
 
 
 def test_the_conda_recipe_is_one_that_rattler_build_renders() -> None:
-    rattler = pytest.importorskip("rattler_build", reason="rattler-build is not installed: the recipe is not rendered")
     text = (ROOT / "conda/recipe.yaml").read_text("utf-8")
-    (found,) = rattler.Stage0Recipe.from_yaml(text).render(rattler.VariantConfig())
+    (found,) = rattler_build.Stage0Recipe.from_yaml(text).render(rattler_build.VariantConfig())
     assert (found.recipe.package.name, str(found.recipe.package.version)) == (PROJECT["name"], PROJECT["version"])
-    with pytest.raises(rattler.RattlerBuildError, match="unknown field"):
-        rattler.Stage0Recipe.from_yaml(text.replace("run_constraints", "run_constraint"))
+    with pytest.raises(rattler_build.RattlerBuildError, match="unknown field"):
+        rattler_build.Stage0Recipe.from_yaml(text.replace("run_constraints", "run_constraint"))
 
 
 def test_classifiers_are_those_of_the_index() -> None:

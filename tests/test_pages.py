@@ -3,7 +3,6 @@
 import re
 import runpy
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
@@ -22,7 +21,6 @@ SHOWING = [page for page in PAGES if any(block.language in ("sh", "python") for 
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 @pytest.mark.parametrize("page", SHOWING, ids=lambda page: page.stem)
 def test_a_page_can_be_followed(page: Path, tmp_path: Path) -> None:
     folder = tmp_path / "empty"

@@ -250,12 +250,6 @@ def test_report_needs_nothing_from_outside_and_shows_everything(kind: str, writt
 
 # C
 
-def _tool(name: str) -> str:
-    if shutil.which(name) is None:
-        pytest.skip(f"there is no {name} here")
-    return name
-
-
 def _must(directory: Path, *command: str) -> str:
     done = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -277,9 +271,8 @@ int moved(double t, {0}_motion_t *out)
 
 @pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_c_tests_itself(kind: str, written: Callable[..., Path], tmp_path: Path) -> None:
-    _tool("cc")
     shutil.copytree(written(*KINDS[kind]) / "c", tmp_path / "c")
-    assert "self-test passed" in _must(tmp_path / "c", _tool("make"), "check", "CFLAGS=-O0 -Werror")
+    assert "self-test passed" in _must(tmp_path / "c", "make", "check", "CFLAGS=-O0 -Werror")
 
 
 @pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
@@ -287,7 +280,7 @@ def test_c_moves_as_the_trajectory_says(kind: str, written: Callable[..., Path],
     name, place = KINDS[kind][0], shutil.copytree(written(*KINDS[kind]) / "c", tmp_path / "c")
     (place / "shim.c").write_text(SHIM.format(name))
     sources = [file.name for file in place.glob("*.c") if not file.name.endswith("_selftest.c")]
-    _must(place, _tool("cc"), "-std=c99", "-O2", "-shared", "-fPIC", "-o", "moved.so", *sources, "-lm")
+    _must(place, "cc", "-std=c99", "-O2", "-shared", "-fPIC", "-o", "moved.so", *sources, "-lm")
     moved = ctypes.CDLL(str(place / "moved.so")).moved
     t, *motion = states(written(*KINDS[kind]))
     joints = motion[0].shape[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -108,7 +107,8 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="only root can become another user")
+@pytest.mark.needs("setpriv")
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 @pytest.mark.parametrize("arguments", [
     ["show", "kr300"], ["simulate", "kr300", "-o", "out"], ["plan-poses", "cat215b", "-n", "4", "-o", "out"],
     ["identify", "kr300", "out/log.csv", "-o", "out"], ["codegen", "kr300", "-o", "out"]], ids=lambda each: each[0])

@@ -10,6 +10,7 @@ import pytest
 
 from fixtures import library
 from fixtures.library import NOT_FINITE, STALE, Library, run, sources, write
+from fixtures.tools import Tool
 from hydroopt.codegen.folder import INTERFACE_VERSION, LICENCE, Code
 from hydroopt.codegen.parameter_source import Origin
 from hydroopt.versions import version
@@ -59,13 +60,13 @@ def test_the_library_states_its_version_and_estimate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only", "-Ofast"])
-@pytest.mark.parametrize("compiler", ["cc", "clang"])
+@pytest.mark.parametrize("compiler", ["cc", Tool("clang")])
 def test_compilers_that_drop_checks_for_nan_are_refused(folder_of: Path, compiler: str, flag: str) -> None:
     done = run([compiler, "-std=c99", "-fsyntax-only", flag, "cat215b.c"], folder_of)
     assert "the checks for numbers that are none would go" in done.stderr
 
 
-@pytest.mark.parametrize("compiler", ["cc", "clang"])
+@pytest.mark.parametrize("compiler", ["cc", Tool("clang")])
 @pytest.mark.parametrize("flags", [("-O3",), ("-O2", "-funsafe-math-optimizations"),
                                    ("-O2", "-fno-signed-zeros", "-fno-math-errno")])
 def test_other_optimisations_keep_the_checks_for_nan(folder_of: Path, compiler: str, flags: tuple[str, ...]) -> None:

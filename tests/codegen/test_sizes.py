@@ -8,22 +8,21 @@ import pytest
 
 from fixtures import library
 from fixtures.tiers import tiered
-from fixtures.tools import tool
 from hydroopt.codegen import sizes
 from hydroopt.codegen.folder import Code
 from hydroopt.codegen.sizes import Measured
 
 ROUTINES = ("forward_kinematics", "inverse_dynamics", "regressor")
+needs_controller = pytest.mark.needs("arm-none-eabi-gcc", "qemu-system-arm")
 
 
 @cache
 def measured(subject: str, real: str) -> tuple[Code, list[Measured]]:
-    for name in ("arm-none-eabi-gcc", "qemu-system-arm"):
-        tool(name)
     made = library.code(library.machine(subject), single=real == "float", routines=ROUTINES)
     return made, sizes.sizes(made.files() | made.bench, single=made.single)
 
 
+@needs_controller
 @pytest.mark.parametrize(("subject", "real"), tiered(
     [("patu655_lift", "float"), ("patu655_lift", "double"), ("cat215b", "float")], lambda *case: case[0] != "cat215b"))
 def test_no_call_writes_more_stack_than_its_chain_may_take(subject: str, real: str) -> None:
@@ -40,6 +39,7 @@ def test_no_call_writes_more_stack_than_its_chain_may_take(subject: str, real: s
         assert {"sinf" if made.single else "sin"} <= set(each.library)
 
 
+@needs_controller
 def test_instructions_grow_with_operations() -> None:
     """As many as the operations that the folder's README counts, and not many times as many."""
     made, found = measured("cat215b", "float")
@@ -49,6 +49,7 @@ def test_instructions_grow_with_operations() -> None:
             assert operations < (each.functions[f"cat215b_{name}"].instructions or 0) < 4 * operations + 1500
 
 
+@needs_controller
 def test_doubles_by_software_take_many_times_as_long() -> None:
     _, found = measured("patu655_lift", "double")
     by_software, by_unit = (each.functions["patu655_lift_inverse_dynamics"].instructions or 0 for each in found)
@@ -85,6 +86,7 @@ def test_frames_and_chains_are_read_from_machine_code() -> None:
         sizes.deepest("outer", frames, calls | {"inner": {"last"}})
 
 
+@needs_controller
 def test_the_readme_states_them_per_target(monkeypatch: pytest.MonkeyPatch) -> None:
     _, found = measured("patu655_lift", "float")
     monkeypatch.setattr("hydroopt.codegen.folder.sizes", lambda files, single: found)

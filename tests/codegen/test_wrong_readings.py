@@ -19,7 +19,7 @@ import pytest
 from fixtures import library
 from fixtures.library import sources, write
 from fixtures.tiers import tiered
-from fixtures.tools import must, tool
+from fixtures.tools import Tool, must
 from hydroopt.codegen.folder import STATUSES
 
 FLAGS = {
@@ -30,7 +30,7 @@ FLAGS = {
 """By name; the last three are those that change arithmetic and keep infinities and NaN."""
 ROUTINES = ("actuator_forces", "inverse_dynamics", "residual", "tip_wrench", "valve_feedforward", "joint_state")
 CASES = tiered([(subject, real, compiler, flags) for subject in ("patu655_lift", "cat215b")
-                for real in ("double", "float") for compiler in ("gcc", "clang") for flags in FLAGS],
+                for real in ("double", "float") for compiler in ("cc", Tool("clang")) for flags in FLAGS],
                lambda subject, real, compiler, flags: subject == "patu655_lift" and (
                    real == "float") == (compiler == "clang"))
 
@@ -199,7 +199,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
 def test_bad_input_has_a_status_under_all_flags(subject: str, real: str, compiler: str, flags: str,
                                                 folders: Folders) -> None:
     place, name = folders(subject, real), "".join((compiler, *FLAGS[flags]))
-    must([tool(compiler), "-std=c99", *FLAGS[flags], "-o", name, "main.c",
+    must([compiler, "-std=c99", *FLAGS[flags], "-o", name, "main.c",
           *(each for each in sources(place) if each != "main.c"), "-lm"], place)
     printed = must([f"./{name}"], place)
     found = re.findall(r"^(.*): (\d+) (untouched|written)$", printed, re.MULTILINE)
@@ -222,10 +222,10 @@ def test_bad_input_has_a_status_under_all_flags(subject: str, real: str, compile
 
 
 @pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only", "-Ofast"])
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("compiler", ["cc", Tool("clang")])
 def test_flags_that_drop_the_checks_do_not_compile(compiler: str, flag: str, folders: Folders) -> None:
     place = folders("patu655_lift", "double")
-    done = subprocess.run([tool(compiler), "-std=c99", flag, "-c", "patu655_lift.c", "-o", "never.o"], cwd=place,
+    done = subprocess.run([compiler, "-std=c99", flag, "-c", "patu655_lift.c", "-o", "never.o"], cwd=place,
                           capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "the checks for numbers that are none would go" in done.stderr

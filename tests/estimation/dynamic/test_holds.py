@@ -228,8 +228,7 @@ def test_phases_are_those_of_each_window_alone(
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # means of no samples
         found = way(t, angles, speeds, shifts, slow, apart, least)
-    if found is None:
-        pytest.skip("no C compiler")
+    assert found is not None
     same, moving, calm = (np.zeros(angles.shape, bool) for _ in range(3))
     for i, now in enumerate(t):
         parts = [(t >= now + a) & (t < now + b) for a, b in pairwise(shifts)]

@@ -21,7 +21,6 @@ def drawn(problem: IdentificationProblem, R: np.ndarray) -> Posterior:
     return found
 
 
-@pytest.mark.skipif(ellipses.compiled() is None, reason="no C compiler")
 @pytest.mark.parametrize("distance", ["gaussian", "log-det"])
 def test_compiled_moves_are_those_of_numpy(one_body: Callable[..., IdentificationProblem], distance: str,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
