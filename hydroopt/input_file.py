@@ -92,7 +92,7 @@ def toml(text: str, kind: type[HydrooptError], *, where: str) -> dict[str, Any]:
         raise kind(f"tables lie more than {LEVELS} deep in each other", where=where, remedy="correct them") from None
     except ValueError as error:  # bad TOML, or an integer of thousands of digits
         raise kind(f"is not valid TOML ({error})", where=where, remedy="correct that line") from None
-    _refuse_absurd(data, kind, where)
+    refuse_absurd(data, kind, where)
     return data
 
 
@@ -117,7 +117,7 @@ def read_json(path: str | Path, kind: type[HydrooptError]) -> dict[str, Any]:
         content = None
     if not isinstance(content, dict):
         raise kind("this file cannot be read as JSON", where=str(path), remedy="have it written again")
-    _refuse_absurd(content, kind, str(path), finite=True)
+    refuse_absurd(content, kind, str(path), finite=True)
     return content
 
 
@@ -136,7 +136,7 @@ def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
     return get_close_matches(name[:80], names, most) or names[:most]
 
 
-def _refuse_absurd(tree: Any, kind: type[HydrooptError], where: str, *, finite: bool = False) -> None:
+def refuse_absurd(tree: Any, kind: type[HydrooptError], where: str, *, finite: bool = False) -> None:
     """Refuse integers beyond 64 bits, which no float may hold, and tables that lie deep in each other."""
     level = [tree]
     for _ in range(LEVELS):

@@ -14,29 +14,17 @@ from pydantic_core import PydanticUndefined
 from sphinx.pycode import ModuleAnalyzer
 
 from extension.text import cell
-from hydroopt.machine.description import MachineDescription
-from hydroopt.machine.free_links import FreeLink
-from hydroopt.machine.linkages import Linkage
-from hydroopt.machine.oil_links import OilLink
-from hydroopt.machine.parameter_sets import CylinderBodies
-from hydroopt.machine.quantity import Quantity
+from hydroopt.machine.file_schema import MachineFile
+from hydroopt.machine.quantity import Noun, Quantity
 
-SHORT: dict[type[BaseModel], str] = {Linkage: "[[linkages]]", FreeLink: "[links.free]", OilLink: "[[oil_links]]",
-                                     CylinderBodies: "[parameter_sets.NAME.CYLINDER]"}
-"""Tables that stand for several others, and where a file states them."""
-HIDDEN = {"parameter_set", "notes"}
-"""Fields that no file states."""
-BY_JOINT = {"lower": "rad or m", "upper": "rad or m", "max_speed": "rad/s or m/s",
-            "max_acceleration": "rad/s^2 or m/s^2"}
-"""Units that depend on the joint's type, so that no annotation states them."""
+HIDDEN = {"parameter_set"}
+"""Fields that only a file written by hydroopt states."""
 
 
 def pages() -> dict[str, str]:
     """Text of the page's part by its path below ``docs/generated``."""
     found: dict[type[BaseModel], str] = {}
-    _collect(MachineDescription, "", found)
-    for kind, path in SHORT.items():
-        _collect(kind, path, found)
+    _collect(MachineFile, "", found)
     return {"machine_file.md": "\n".join(_section(kind, path) for kind, path in found.items())}
 
 
@@ -53,7 +41,9 @@ def _collect(kind: type[BaseModel], path: str, found: dict[type[BaseModel], str]
 
 
 def _section(kind: type[BaseModel], path: str) -> str:
-    docs = ModuleAnalyzer.for_module(kind.__module__).find_attr_docs()
+    docs = {name: text for base in reversed(kind.__mro__) if issubclass(base, Noun)
+            for (owner, name), text in ModuleAnalyzer.for_module(base.__module__).find_attr_docs().items()
+            if owner == base.__qualname__}
     title = f"`{path}`" if path else "The machine"
     prose = (inspect.getdoc(kind) or "").split(">>>")[0].strip()
     lines = [f"({anchor(kind)})=", f"## {title}", "", prose.replace("``", "`"), "",
@@ -61,7 +51,7 @@ def _section(kind: type[BaseModel], path: str) -> str:
     for name, field in kind.model_fields.items():
         if name in HIDDEN:
             continue
-        text = " ".join(docs.get((kind.__qualname__, name), []))
+        text = " ".join(docs.get(name, []))
         if not text:
             raise ValueError(f"{kind.__module__}.{kind.__qualname__}.{name} has no docstring")
         lines.append(f"| `{name}` | {_value(kind, name, field)} | {_default(field, name)} | {cell(text)} |")
@@ -78,8 +68,6 @@ def _value(kind: type[BaseModel], name: str, field: FieldInfo) -> str:
     if parts := list(_parts(field.annotation)):
         word = "tables" if _many(field.annotation) else "table"
         return " or ".join(f"[{word}](#{anchor(part)})" for part in parts)
-    if name in BY_JOINT and kind.__name__ == "Joint":
-        return BY_JOINT[name]
     marks = [*field.metadata, *_marks(field.annotation)]
     units = next((" or ".join(f"{unit}" for unit in (mark.si, *mark.others)) for mark in marks
                   if isinstance(mark, Quantity)), "")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 
 from hydroopt.machine.links import Attachment
 from hydroopt.machine.quantity import (
@@ -110,7 +110,7 @@ class Cylinder(Noun):
     """Greatest speed."""
     relief_pressure: Pressure | None = Field(None, gt=0)
     """Pressure at which a valve relieves a chamber."""
-    measured: bool = True
+    measured: StrictBool = True
     """Whether logs hold its pressures or force; its length may be logged all the same."""
     friction: CylinderFriction = CylinderFriction()
     """Friction, and the offset of the force reading."""
@@ -201,7 +201,7 @@ class Motor(Noun):
     """Torque per pressure, which is its displacement: "150 cm^3/rev", or "23.9 cm^3/rad"."""
     gear: Number = Field(1.0, gt=0)
     """Turns of the motor per turn of the joint."""
-    measured: bool = True
+    measured: StrictBool = True
     """Whether logs hold its pressures or torque."""
     relief_pressure: Pressure | None = Field(None, gt=0)
     """Pressure at which a valve relieves a side."""
@@ -250,7 +250,7 @@ class Drive(Noun):
     """Joint that it moves."""
     gear: Number = Field(1.0, gt=0)
     """Turns of the rotor per turn of the joint."""
-    measured: bool = True
+    measured: StrictBool = True
     """Whether logs hold its torque."""
     max_torque: Torque | None = Field(None, gt=0)
     """Greatest torque."""

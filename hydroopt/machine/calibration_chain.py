@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 
 from hydroopt.machine.links import JointFriction, Link
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
@@ -64,7 +64,7 @@ class Fixture(Noun):
     """Standard deviation of the tip in each held direction."""
     tilt: Angle = Field(0.0, ge=0)
     """Standard deviation of held turns."""
-    moves: bool = False
+    moves: StrictBool = False
     """Whether it has another place in every stage; the stated one is then the initial guess of all of them."""
 
     @property

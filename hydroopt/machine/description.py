@@ -9,27 +9,21 @@ from typing import Self
 from pydantic import Field
 
 from hydroopt.machine import addresses
-from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder, Drive, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.balances import Balance, balance
 from hydroopt.machine.base_motion import CHASSIS
-from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.datums import Datum
-from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
-from hydroopt.machine.fault_sizes import FaultSizes
+from hydroopt.machine.file_schema import Parts
 from hydroopt.machine.imus import INCLINATION, Imu
-from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.links import Link, Note
-from hydroopt.machine.loops import Loop
-from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.matching import entangled, matched
-from hydroopt.machine.quantity import CHANNEL_UNITS, Acceleration, Angle, Length, Name, Noun, Rate
+from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.machine.sensor import Lag, Sensor
-from hydroopt.machine.springs import Pinned, Spring
-from hydroopt.machine.targets import TIP, Target
-from hydroopt.machine.valves import Circuit, Oil
+from hydroopt.machine.springs import Pinned
+from hydroopt.machine.targets import TIP
+from hydroopt.machine.valves import Circuit
 
 BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
@@ -40,75 +34,11 @@ _TURN_UNITS = dict.fromkeys(("rx", "ry", "rz"), "rad") | dict.fromkeys(("qw", "q
 """Components of a measured orientation: rotation vector, and quaternion."""
 
 
-class MachineDescription(Noun):
-    """The parts of a machine as its file states them; `Machine` adds the invariants between them."""
+class MachineDescription(Parts):
+    """The parts of a machine and what is known of their numbers; `Machine` adds the invariants between them."""
 
-    name: Name
-    """Name of the machine."""
-    parameter_set: str = ""
-    """Chosen set of inertial parameters."""
-    description: str = ""
-    """What it is, in words."""
-    gravity: Acceleration = Field(9.80665, ge=0)
-    """Acceleration of gravity, along −z of the world."""
-    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw of the base frame in the world, whose z points up."""
-    bandwidth: Rate | None = Field(None, gt=0)
-    """Highest frequency of the machine's motion; limits all smoothing."""
     links: tuple[Link, ...] = Field(min_length=1)
     """Links, each behind the one that carries it."""
-    loops: tuple[Loop, ...] = ()
-    """Pins that close loops of links."""
-    couplings: tuple[Coupling, ...] = ()
-    """Linear relations between joints."""
-    cylinders: tuple[Cylinder, ...] = ()
-    """Hydraulic cylinders."""
-    motors: tuple[Motor, ...] = ()
-    """Hydraulic motors."""
-    drives: tuple[Drive, ...] = ()
-    """Electric and other drives."""
-    gas_cylinders: tuple[GasCylinder, ...] = ()
-    """Gas-charged cylinders."""
-    springs: tuple[Spring, ...] = ()
-    """Springs between two pins."""
-    sensors: tuple[Sensor, ...] = ()
-    """Accuracy of what is measured."""
-    imus: tuple[Imu, ...] = ()
-    """Inertial measurement units."""
-    calibrator: Calibrator | None = None
-    """What closes the chain of a kinematic calibration."""
-    fixtures: tuple[Fixture, ...] = ()
-    """Places that hold the calibrator's ball."""
-    distances: tuple[Distance, ...] = ()
-    """Known or measured distances."""
-    tracker: Tracker | None = None
-    """Instrument that tracks the tip."""
-    targets: tuple[Target, ...] = ()
-    """Prisms, balls, marks and markers."""
-    instruments: tuple[Instrument, ...] = ()
-    """Total stations, trackers and cameras."""
-    datums: tuple[Datum, ...] = ()
-    """Planes and lines that targets touch."""
-    stages: tuple[Stage, ...] = ()
-    """Stages of a kinematic calibration."""
-    pump: Pump | None = None
-    """The supply."""
-    oil: Oil | None = None
-    """The fluid."""
-    ground: Length | None = None
-    """Height of the ground above the origin of the base frame; designed motions stay above it."""
-    workspace: Workspace | None = None
-    """Box for the far end of the last link."""
-    obstacles: tuple[Obstacle, ...] = ()
-    """Balls that it avoids."""
-    footprint: Footprint | None = None
-    """Tracks or outriggers."""
-    total_masses: tuple[TotalMass, ...] = ()
-    """Masses of several bodies together."""
-    identical: tuple[Identical, ...] = ()
-    """Identical parts."""
-    faults: FaultSizes = FaultSizes()
-    """Usual sizes of instruments' faults."""
     notes: dict[str, Note] = Field(default_factory=dict)
     """Confidences, bounds and sources of numbers, by address; a file states them beside each number."""
 

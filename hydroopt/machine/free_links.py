@@ -5,10 +5,12 @@ First comes the position along x, y, z of the link's parent, then yaw about z, p
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Any, Self
 
-from hydroopt.errors import MachineError
-from hydroopt.machine.quantity import AngularSpeed, Noun, Position, Quantity
+from pydantic import model_validator
+
+from hydroopt.machine.quantity import AngularSpeed, ImpossibleError, JointAcceleration, Noun, Position
 
 
 class Coordinate(Noun):
@@ -20,7 +22,7 @@ class Coordinate(Noun):
     """Upper limit."""
     max_speed: AngularSpeed | None = None
     """Greatest speed."""
-    max_acceleration: Annotated[float, Quantity("rad/s^2", "m/s^2")] | None = None
+    max_acceleration: JointAcceleration | None = None
     """Greatest acceleration."""
 
 
@@ -44,6 +46,13 @@ class FreeLink(Noun):
     roll: Coordinate | None = None
     """Turn about x, third."""
 
+    @model_validator(mode="after")
+    def _moves(self) -> Self:
+        if not self.model_fields_set:
+            raise ImpossibleError("no coordinate is stated",
+                                  "state some, such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
+        return self
+
 
 AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
 """Coordinates in the order of their joints, and the axis of each."""
@@ -51,54 +60,36 @@ _TURN = {"x": ({"beta": "90 deg"}, {"beta": "-90 deg"}), "y": ({"alpha": "-90 de
 """How z turns to an axis, and back."""
 
 
-def expand(data: dict[str, Any], where: str) -> dict[str, str]:
-    """Put chains of joints in the place of the tables `free` of links, whose parents are stated.
+def expand(data: dict[str, Any]) -> dict[str, str]:
+    """Put chains of joints in the place of the tables `free` of links of a description that was validated.
 
     Of a link ``platform`` they are ``platform_x`` … ``platform_roll``, those that its table states; the link itself is
     locked to the last one.
 
     Returns:
         Which place of the machine stands where in the file.
-
-    Raises:
-        MachineError: a coordinate or key is unknown, or a joint is stated too.
     """
     moved: dict[str, str] = {}
-    links: list[Any] = []
-    for link in stated if isinstance(stated := data.get("links"), list) else []:
-        if isinstance(link, dict) and "free" in link:
-            name, limits = link.get("name"), link.pop("free")
-            if "joint" in link:
-                raise MachineError("a free link has a joint, too", where=f"{where}: links[{name}]",
-                                   remedy="state 'free' or 'joint'")
-            made = chain(str(name), link.get("parent"), limits, f"{where}: links[{name}].free")
+    links: list[dict[str, Any]] = []
+    for link in data["links"]:
+        if "free" in link:
+            name, limits = link["name"], link.pop("free")
+            links += chain(name, link["parent"], limits)
             moved |= {f"links[{name}_{key}].joint": f"links[{name}].free.{key}" for key in limits}
-            links += made
-            link |= {"parent": made[-1]["name"], "joint": {"type": "locked"}}
+            link |= {"parent": links[-1]["name"], "joint": {"type": "locked"}}
         links.append(link)
-    if links:
-        data["links"] = links
+    data["links"] = links
     return moved
 
 
-def chain(name: str, parent: Any, limits: Any, where: str) -> list[dict[str, Any]]:
+def chain(name: str, parent: str, limits: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The links whose joints stand for coordinates of a free link.
 
     Args:
         name: what the names of the joints begin with.
         parent: the link that the coordinates refer to.
         limits: of the joints by coordinate.
-        where: the place of this table.
     """
-    if not isinstance(limits, dict) or not limits:
-        raise MachineError("must be a table", where=where,
-                           remedy="state coordinates such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
-    for key, own in limits.items():
-        if key not in AXES:
-            raise MachineError("this coordinate is unknown", where=f"{where}.{key}", remedy=f"use {', '.join(AXES)}")
-        if not isinstance(own, dict) or not set(own) <= set(Coordinate.model_fields):
-            raise MachineError("must be a table of limits", where=f"{where}.{key}",
-                               remedy=f"state {', '.join(sorted(Coordinate.model_fields))}")
     made: list[dict[str, Any]] = []
 
     def add(own: str, joint: dict[str, Any]) -> None:

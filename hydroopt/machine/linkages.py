@@ -13,7 +13,6 @@ from pydantic import Field
 from hydroopt.errors import MachineError
 from hydroopt.machine.links import Body, JointFriction
 from hydroopt.machine.quantity import Length, Lengths, Name, Noun, Position
-from hydroopt.machine.stated_tables import refuse_keys, tables
 
 _BARS = ("rocker", "coupler")
 
@@ -52,7 +51,7 @@ class Linkage(Noun):
 
 
 def expand(data: dict[str, Any], where: str) -> dict[str, str]:
-    """Put links and loops in the place of the linkages of a machine's description, whose links state their parents.
+    """Put links and loops in the place of the linkages of a description that was validated.
 
     The rocker turns about its `pin` on the parent of the link that the linkage `moves`, and the coupler connects the
     rocker's far end to the coupler's `pin` on this link.
@@ -61,39 +60,36 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         Which place of the machine stands where in the file.
 
     Raises:
-        MachineError: a key is unknown or missing, there is no such link, or a name is taken.
+        MachineError: there is no such link, or a name is taken.
     """
     moved: dict[str, str] = {}
-    links: list[Any] = stated if isinstance(stated := data.get("links"), list) else []
-    for k, linkage in enumerate(tables(data.pop("linkages", []), f"{where}: linkages")):
-        at = f"{where}: linkages[{linkage.get('name', k) if isinstance(linkage, dict) else k}]"
-        refuse_keys(linkage, Linkage, at)
-        there = next((i for i, link in enumerate(links) if isinstance(link, dict)
-                      and link.get("name") == linkage["moves"]), None)
+    links = data["links"]
+    for linkage in data.pop("linkages", []):
+        at = f"{where}: linkages[{linkage['name']}]"
+        there = next((i for i, link in enumerate(links) if link["name"] == linkage["moves"]), None)
         if there is None:
             raise MachineError(f"the linkage moves '{linkage['moves']}', which is not a link", where=f"{at}.moves",
                                remedy="name the link that it moves")
-        names: list[Any] = []
+        names: list[str] = []
         made: list[dict[str, Any]] = []
         for role in _BARS:
             bar = linkage[role]
-            refuse_keys(bar, Bar, f"{at}.{role}")
             name = bar.get("name", role)
-            if any(isinstance(link, dict) and link.get("name") == name for link in links):
+            if any(link["name"] == name for link in links):
                 raise MachineError(f"the name '{name}' is taken", where=f"{at}.{role}",
                                    remedy=f'give it a name of its own: name = "{linkage["name"]}_{role}"')
             joint = {"type": "revolute", "dependent": True, "a": bar["length"]}
             joint |= {key: bar[key] for key in ("friction",) if key in bar}
-            made.append({"name": name, "parent": names[0] if names else links[there].get("parent"), "joint": joint}
+            made.append({"name": name, "parent": names[0] if names else links[there]["parent"], "joint": joint}
                         | ({} if names else {"pin": bar["pin"]}) | ({"body": bar["body"]} if "body" in bar else {}))
             names.append(name)
             own = f"linkages[{linkage['name']}].{role}"
             moved |= {f"links[{name}].joint.a": f"{own}.length", f"links[{name}].joint.friction": f"{own}.friction",
                       f"links[{name}]": own}
         links[there:there] = made
-        loops = tables(data.setdefault("loops", []), f"{where}: loops")
-        loops.append({"name": linkage["name"], "link": names[1], "posture": linkage["posture"],
-                      "to": {"link": linkage["moves"], "pin": linkage["coupler"]["pin"]}})
+        data.setdefault("loops", []).append({
+            "name": linkage["name"], "link": names[1], "posture": linkage["posture"],
+            "to": {"link": linkage["moves"], "pin": linkage["coupler"]["pin"]}})
         moved |= {f"loops[{linkage['name']}].to.pin": f"linkages[{linkage['name']}].coupler.pin",
                   f"loops[{linkage['name']}]": f"linkages[{linkage['name']}]"}
     return moved

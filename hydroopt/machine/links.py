@@ -10,14 +10,16 @@ from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, StrictBool, ValidationInfo, field_validator, model_validator
 
 from hydroopt.machine.mass_statements import Shape
 from hydroopt.machine.quantity import (
     Angle,
     AngularCompliance,
+    AngularSpeed,
     AngularViscosity,
     ImpossibleError,
+    JointAcceleration,
     Length,
     Lengths,
     Mass,
@@ -155,19 +157,19 @@ class Joint(Noun):
     """Turn about x behind the length."""
     beta: Angle = 0.0
     """Turn about y behind that; needed between nearly parallel axes."""
-    lower: float | None = Field(None, allow_inf_nan=False)
+    lower: Position | None = None
     """Lower limit; a joint that moves by itself needs both, of a dependent one that slides they are its stroke."""
-    upper: float | None = Field(None, allow_inf_nan=False)
+    upper: Position | None = None
     """Upper limit."""
-    max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
+    max_speed: AngularSpeed | None = Field(None, gt=0)
     """Greatest speed."""
-    max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
+    max_acceleration: JointAcceleration | None = Field(None, gt=0)
     """Greatest acceleration."""
     compliance: AngularCompliance | None = Field(None, ge=0)
     """Angle per torque by which the joint gives way under gravity."""
-    dependent: bool = False
+    dependent: StrictBool = False
     """Whether it follows other joints through a loop or coupling."""
-    passive: bool = False
+    passive: StrictBool = False
     """Whether it moves by itself although no actuator is there to move it."""
     friction: JointFriction = JointFriction()
     """Friction of the joint itself."""
@@ -177,17 +179,16 @@ class Joint(Noun):
     @model_validator(mode="before")
     @classmethod
     def _limits(cls, data: Any, info: ValidationInfo) -> Any:
-        # the unit of a limit depends on the joint's type, so that a field's annotation cannot state it
+        # the unit of a limit depends on the joint's type, which its field alone does not contain
         if not isinstance(data, Mapping) or data.get("type") not in ("revolute", "prismatic", "locked"):
             return data
         unit = "m" if data["type"] == "prismatic" else "rad"
         units = {"lower": unit, "upper": unit, "max_speed": f"{unit}/s", "max_acceleration": f"{unit}/s^2"}
-        data = dict(data)
         for key, si in units.items():
             if data.get(key) is not None:
                 if data["type"] == "locked":
                     raise ImpossibleError("a locked joint has a limit", "remove it or let the joint move", key)
-                data[key] = keyed(Quantity(si), data[key], info, key)
+                keyed(Quantity(si), data[key], info, key)
         return data
 
     @model_validator(mode="after")

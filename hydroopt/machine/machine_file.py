@@ -8,14 +8,13 @@ by their names, and parts that the bundled machine lacks stand before its own.
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -36,13 +35,14 @@ from hydroopt.machine import (
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.file_schema import in_plain_words, validate, without_notes, without_value
 from hydroopt.machine.links import Joint, JointFriction, JointSpring, Note
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
+from hydroopt.machine.quantity import ImpossibleError, Quantity
 from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.valves import Valve
-from hydroopt.units import UnitError, spread_to_si, to_si
+from hydroopt.units import UnitError
 
 ROBOT_SUFFIXES = (".urdf", ".xml")
 """Endings of robot files."""
@@ -125,28 +125,27 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     >>> machine
     Machine('pendulum': 1 joint, 1 drive)
     """
-    return build_machine(_with_base(toml(text, MachineError, where=where), where), where, parameter_set)
+    return build_machine(toml(text, MachineError, where=where), where, parameter_set)
 
 
 def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = None) -> Machine:
     """Machine from the tables of a machine file, see `read_machine`."""
     if not data:
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
-    if "notes" in data:
-        raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
+    data = _with_base(data, where)
     _default_parents(data)
+    validate(data, where)
     in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
     moved = parameter_sets.expand(data, parameter_set, where) | in_linkages
-    moved |= free_links.expand(data, where) | base_motion.expand(data, where)
-    notes: dict[str, Note] = {}
+    moved |= free_links.expand(data) | base_motion.expand(data)
     try:
-        data = _strip_notes(data, "", "", notes)
+        data, notes = without_notes(data)
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
         idle_linkages.check(machine, [loop.name for loop in machine.loops if f"loops[{loop.name}]" in moved])
         _check_geometry(machine)
         prior_checks.check(machine)
     except ValidationError as error:
-        what, place, remedy = _in_plain_words(error, data)
+        what, place, remedy = in_plain_words(error.errors(), data)
         raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None
     except UnitError as error:
         raise MachineError(error.what, where=_at(where, error.where, moved), remedy=error.remedy) from None
@@ -197,15 +196,14 @@ def _merged(base: Any, own: Any, key: str = "") -> Any:
     """
     if isinstance(base, dict) and isinstance(own, dict):
         return base | {name: _merged(base[name], value, name) if name in base else value for name, value in own.items()}
-    if own and not isinstance(base, dict) and isinstance(own, dict) and "value" not in own and own.keys() <= _NOTE_KEYS:
+    if not isinstance(base, dict) and without_value(own):
         return {"value": base} | own  # of a sidecar, which states what is known of a robot file's number
-    parts = [part for each in (base, own) if isinstance(each, list) for part in each]
-    if not parts or not isinstance(base, list) or not isinstance(own, list) or not all(
-            isinstance(part, dict) and "name" in part for part in parts):
+    if not isinstance(base, list) or not isinstance(own, list) or not all(
+            isinstance(part, dict) and isinstance(part.get("name"), str) for part in (*base, *own)):
         return own
-    stated = {part["name"]: part for part in own}
+    stated = {part["name"]: part for part in reversed(own)}
     known = {part["name"] for part in base}
-    more = [part for part in own if part["name"] not in known]
+    more = [part for part in own if part["name"] not in known or part is not stated[part["name"]]]
     same = [_merged(part, stated.get(part["name"], {})) for part in base]
     return more + same if key == "stages" else same + more
 
@@ -216,127 +214,6 @@ def _at(where: str, place: str, moved: Mapping[str, str]) -> str:
         if place == inside or place.startswith(f"{inside}."):
             place = there + place[len(inside):]
     return f"{where}: {place}" if place else where
-
-
-def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> Any:
-    """The same tree with plain values; their notes go to `notes` under their dotted path.
-
-    `place` is where the node stands in the file, for error messages.
-    """
-    if isinstance(node, dict) and {"name", "value"} <= node.keys() and not isinstance(node["value"], dict):
-        said = {key: node[key] for key in sorted(_NOTE_KEYS & node.keys())}  # a part whose one number it is
-        node = {key: value for key, value in node.items() if key not in said} | {"value": said}
-    elif isinstance(node, dict) and "value" in node and "name" not in node:
-        notes[path] = _note(node, place)
-        return node["value"]
-    if isinstance(node, dict):
-        return {key: _strip_notes(value, f"{path}.{key}".lstrip("."), f"{place}.{key}".lstrip("."), notes)
-                for key, value in node.items()}
-    if isinstance(node, list):
-        # parts are addressed by their names, which are unique over the machine
-        names = [item["name"] if isinstance(item, dict) and "name" in item else None for item in node]
-        return [_strip_notes(item, f"{path}.{k}" if name is None else str(name),
-                             f"{place}[{k if name is None else name}]", notes)
-                for k, (name, item) in enumerate(zip(names, node, strict=True))]
-    return node
-
-
-def _note(node: Mapping[str, Any], place: str) -> Note:
-    value = node["value"]
-    like = str(value[0] if isinstance(value, list) and value else value)
-    said: dict[str, Any] = {"source": node.get("source", "")}
-    for key in node:
-        if key not in _NOTE_KEYS:
-            raise ImpossibleError("this key is unknown",
-                                  f"beside 'value', use {', '.join(sorted(_NOTE_KEYS - {'value'}))}", f"{place}.{key}")
-    for key in ("lower", "upper"):
-        if key in node:
-            said[key] = spread_to_si(str(node[key]), like, where=f"{place}.{key}")
-    if said.get("lower", -math.inf) >= said.get("upper", math.inf):
-        raise ImpossibleError(f"the lower bound {node['lower']} is not below the upper one, {node['upper']}",
-                              "exchange or correct them", place)
-    sigma = str(node.get("sigma", "")).strip()
-    if sigma.endswith("%"):
-        percent = f"{sigma.removesuffix('%').strip()} %"
-        said |= {"sigma": to_si(percent, "1", where=f"{place}.sigma"), "relative": True}
-    elif sigma:
-        said["sigma"] = spread_to_si(sigma, like, where=f"{place}.sigma")
-    if not 0 < said.get("sigma", 1.0) < math.inf:
-        raise ImpossibleError(f"a confidence must be positive and finite, not {sigma}", "correct it or leave it out",
-                              f"{place}.sigma")
-    if not isinstance(said["source"], str):
-        raise ImpossibleError("this must be text", "put it in quotation marks", f"{place}.source")
-    return Note(**said)
-
-
-def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, str, str]:
-    """What, place and remedy of the first mistake, an unknown key before all: it often is the one that is missing."""
-    mistakes = error.errors()
-    first = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
-    place = ""
-    node: Any = data
-    above: Any = data
-    for step in first["loc"]:
-        above = node
-        node = node[step] if isinstance(node, list | dict) and step in (  # type: ignore[index]
-            node if isinstance(node, dict) else range(len(node))) else None
-        if isinstance(step, int):
-            called = node.get("name") if isinstance(node, dict) else None
-            place += f"[{step if called is None else called}]"
-        else:
-            place += f".{step}" if place else str(step)
-    kind, context = first["type"], first.get("ctx", {})
-    impossible = context.get("error")
-    if isinstance(impossible, ImpossibleError):
-        return impossible.what, f"{place}.{impossible.key}".strip("."), impossible.remedy
-    if kind == "missing" and isinstance(first["loc"][-1], int):
-        wanted = 1 + max(int(m["loc"][-1]) for m in mistakes if m["loc"][:-1] == first["loc"][:-1])
-        return f"there are {len(above)} values instead of {wanted}", place.rpartition("[")[0], "state them all"
-    if kind == "too_long":
-        return f"there are {len(node)} values instead of {context['max_length']}", place, "remove those beyond"
-    if kind == "too_short":
-        return "the list is empty", place, "state at least one"
-    if kind == "missing":
-        return "this key is missing", place, "add it"
-    if kind == "extra_forbidden":
-        key, here = str(first["loc"][-1])[:80], _keys_at(first["loc"][:-1])
-        like = get_close_matches(key, here, 1, 0.75)
-        better = f"write '{like[0]}'" if like else f"use one of {', '.join(here)}"
-        known = any(key in noun.model_fields for noun in Noun.__subclasses__())
-        return f"this key {'has no meaning here' if known else 'is unknown'}", place, f"{better}, or remove it"
-    said = str(node if isinstance(node, bool | int | float | str) else first["input"])
-    said = said.lower() if isinstance(node, bool) else said
-    return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
-
-
-def _keys_at(steps: Sequence[int | str]) -> list[str]:
-    """The keys of the part at a place of a machine file; none where it may be of no stated kind."""
-    nouns: set[type[BaseModel]] = {Machine}
-    for step in steps:
-        fields = [noun.model_fields[step] for noun in nouns if step in noun.model_fields]
-        nouns = {each for field in fields for each in _nouns(field.annotation)} if fields else nouns
-    return [key for noun in nouns for key in noun.model_fields if key != "notes"]
-
-
-def _nouns(annotation: Any) -> set[type[BaseModel]]:
-    """The kinds of parts within a type."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return {annotation}
-    return {each for part in get_args(annotation) for each in _nouns(part)}
-
-
-def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> str:
-    """A rule that pydantic found broken, in plain words."""
-    if kind == "finite_number" or (isinstance(value, float) and not math.isfinite(value)):
-        return "must be a finite number"
-    for start, words in {"greater_than_equal": "at least {ge:g}", "greater_than": "greater than {gt:g}",
-                         "less_than_equal": "at most {le:g}", "less_than": "less than {lt:g}", "literal": "{expected}",
-                         "int_": "a whole number", "float_": "a number", "string_pattern":
-                         "made of letters, digits and _, a letter first", "string_": "text in quotation marks",
-                         "tuple_": "a list in brackets", "model_": "a table of keys"}.items():
-        if kind.startswith(start):
-            return f"must be {words.format(**context)}"
-    return message[:1].lower() + message[1:]
 
 
 def dump_machine(machine: Machine) -> str:

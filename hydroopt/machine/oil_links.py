@@ -8,15 +8,17 @@ together, so that no equation of motion contains it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.links import Body, JointFriction
-from hydroopt.machine.quantity import Length, Lengths, Name, Noun, Position
-from hydroopt.machine.stated_tables import refuse_keys, tables
-from hydroopt.units import UnitError, to_si
+from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position
+from hydroopt.units import to_si
 
-_CHAMBERS = ("head", "rod")
+Line = Literal["head to head", "head to rod", "rod to head", "rod to rod"]
+"""From a chamber of the master to one of the slave."""
 ALIKE = 0.01
 """Two lines between the same cylinders must displace alike but for this part."""
 
@@ -54,6 +56,15 @@ class OilCylinder(Noun):
     friction: JointFriction | None = None
     """Friction along it."""
 
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if not 0 < self.rod_diameter < self.bore:
+            raise ImpossibleError("the rod is not thinner than the bore", "correct the two", "rod_diameter")
+        if (self.dead_length is None) != (self.stroke is None):
+            missing = "stroke" if self.stroke is None else "dead_length"
+            raise ImpossibleError(f"'{missing}' is missing", "state dead_length and stroke, or neither")
+        return self
+
 
 class OilLink(Noun):
     """A slave cylinder that follows a master, since oil is shut in between chambers of the two; links, loops and a
@@ -61,7 +72,7 @@ class OilLink(Noun):
 
     name: Name
     """Name, also of the coupling."""
-    lines: tuple[str, ...]
+    lines: tuple[Line, ...] = Field(min_length=1, max_length=2)
     """Which chambers share oil, from the master's to the slave's: one or two of `head to head`, `head to rod`,
     `rod to head`, `rod to rod`."""
     master: OilCylinder
@@ -71,9 +82,14 @@ class OilLink(Noun):
     posture: dict[str, Position]
     """Positions of joints near a posture in which the loops are closed."""
 
+    @field_validator("lines", mode="before")
+    @classmethod
+    def _lines(cls, stated: Any) -> Any:
+        return (stated,) if isinstance(stated, str) else stated
+
 
 def expand(data: dict[str, Any], where: str) -> dict[str, str]:
-    """Put links, loops and couplings in the place of the oil links of a description, whose links state their parents.
+    """Put links, loops and couplings in the place of the oil links of a description that was validated.
 
     A cylinder ``leveller`` becomes the barrel ``leveller_barrel``, which turns, and the rod ``leveller_rod`` behind the
     joint ``leveller_length``, which slides. The joint that the slave moves is one that the file states as dependent.
@@ -82,27 +98,21 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         Which place of the machine stands where in the file.
 
     Raises:
-        MachineError: a key is unknown or missing, a link does not exist, or two lines contradict each other.
+        MachineError: a link does not exist, or two lines contradict each other.
     """
     moved: dict[str, str] = {}
-    for k, link in enumerate(tables(data.pop("oil_links", []), f"{where}: oil_links")):
-        own = f"oil_links[{link.get('name', k) if isinstance(link, dict) else k}]"
+    for link in data.pop("oil_links", []):
+        own = f"oil_links[{link['name']}]"
         at = f"{where}: {own}"
-        refuse_keys(link, OilLink, at)
-        if not isinstance(link["posture"], dict):
-            raise MachineError("must be a table", where=f"{at}.posture", remedy="state positions of joints")
         names, loops = [], data.setdefault("loops", [])
         for role in ("master", "slave"):
             cylinder = link[role]
-            refuse_keys(cylinder, OilCylinder, f"{at}.{role}")
-            for end in ("barrel", "rod"):
-                refuse_keys(cylinder[end], OilPin, f"{at}.{role}.{end}")
-            name = str(cylinder["name"])
+            name = cylinder["name"]
             between = _between(data, cylinder, f"{at}.{role}")
             posture = {joint: value for joint, value in link["posture"].items() if joint in between or role == "slave"}
             if role == "master":
                 posture[f"{name}_length"] = cylinder["length"]
-            data["links"] += _links(data, cylinder, name, between, _limits(cylinder, f"{at}.{role}"))
+            data["links"] += _links(data, cylinder, name, between, _limits(cylinder))
             loops.append({"name": name, "link": f"{name}_rod", "posture": posture,
                           "to": {"link": cylinder["rod"]["link"], "pin": cylinder["rod"]["pin"]}})
             moved |= {f"loops[{name}].to.pin": f"{own}.{role}.rod.pin", f"loops[{name}].posture": f"{own}.posture",
@@ -110,7 +120,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
                       f"links[{name}_seat]": f"{own}.{role}.barrel", f"links[{name}_length]": f"{own}.{role}"}
             names.append(name)
         ratio = _ratio(link, at)
-        lengths = [_number(link[role], "length", f"{at}.{role}") for role in ("master", "slave")]
+        lengths = [_metres(link[role], "length") for role in ("master", "slave")]
         data.setdefault("couplings", []).append({
             "name": link["name"], "joint": f"{names[1]}_length", "ratios": {f"{names[0]}_length": f"{ratio!r}"},
             "offset": f"{lengths[1] - ratio * lengths[0]!r} m"})
@@ -140,14 +150,11 @@ def _links(data: Mapping[str, Any], cylinder: Mapping[str, Any], name: str, betw
             {"name": f"{name}_rod", "parent": f"{name}_length", "joint": {"type": "locked"}, **end}]
 
 
-def _limits(cylinder: Mapping[str, Any], at: str) -> dict[str, str]:
+def _limits(cylinder: Mapping[str, Any]) -> dict[str, str]:
     """Shortest and longest that a cylinder can be, where it states its stroke."""
-    missing = [key for key in ("dead_length", "stroke") if key not in cylinder]
-    if len(missing) == 2:
+    if "stroke" not in cylinder:
         return {}
-    if missing:
-        raise MachineError(f"'{missing[0]}' is missing", where=at, remedy="state dead_length and stroke, or neither")
-    dead, stroke = (_number(cylinder, key, at) for key in ("dead_length", "stroke"))
+    dead, stroke = (_metres(cylinder, key) for key in ("dead_length", "stroke"))
     return {"lower": f"{dead!r} m", "upper": f"{dead + stroke!r} m"}
 
 
@@ -175,17 +182,12 @@ def _ratio(link: Mapping[str, Any], at: str) -> float:
     """What the slave lengthens per lengthening of the master."""
     areas = []
     for role in ("master", "slave"):
-        bore, rod = (_number(link[role], key, f"{at}.{role}") for key in ("bore", "rod_diameter"))
-        if not 0 < rod < bore:
-            raise MachineError("the rod is not thinner than the bore", where=f"{at}.{role}.rod_diameter",
-                               remedy="correct the two")
-        areas.append({"head": bore**2, "rod": rod**2 - bore**2})
+        bore, rod = (_metres(link[role], key) for key in ("bore", "rod_diameter"))
+        areas.append({"head": bore**2, "rod": bore**2 - rod**2})
     lines = link["lines"] if isinstance(link["lines"], list) else [link["lines"]]
-    known = {f"{one} to {other}": -areas[0][one] / areas[1][other] for one in _CHAMBERS for other in _CHAMBERS}
-    if not 1 <= len(lines) <= 2 or any(line not in known for line in lines):
-        raise MachineError("these are not one or two lines from a chamber of the master to one of the slave",
-                           where=f"{at}.lines", remedy=f"use {', '.join(known)}")
-    ratios = [known[line] for line in lines]
+    signs = {"head": 1.0, "rod": -1.0}
+    ends = [line.split(" to ") for line in lines]
+    ratios = [-signs[one] * areas[0][one] / (signs[other] * areas[1][other]) for one, other in ends]
     if abs(ratios[-1] - ratios[0]) > ALIKE * abs(ratios[0]):
         raise MachineError(f"the two lines contradict each other: per metre of the master the slave lengthens "
                            f"{ratios[0]:.3f} m by '{lines[0]}', {ratios[1]:.3f} m by '{lines[1]}'",
@@ -193,9 +195,6 @@ def _ratio(link: Mapping[str, Any], at: str) -> float:
     return ratios[0]
 
 
-def _number(table: Mapping[str, Any], key: str, where: str) -> float:
-    stated = table[key]["value"] if isinstance(table[key], dict) and "value" in table[key] else table[key]
-    try:
-        return to_si(stated, "m", where=f"{where}.{key}")
-    except UnitError as error:
-        raise MachineError(error.what, where=f"{where}.{key}", remedy=error.remedy) from None
+def _metres(table: Mapping[str, Any], key: str) -> float:
+    stated = table[key]["value"] if isinstance(table[key], dict) else table[key]
+    return to_si(stated, "m", where=key)

@@ -7,7 +7,6 @@ from typing import Any
 from hydroopt.errors import MachineError
 from hydroopt.machine.links import Body
 from hydroopt.machine.quantity import Noun
-from hydroopt.machine.stated_tables import table
 
 
 class CylinderBodies(Noun):
@@ -20,38 +19,35 @@ class CylinderBodies(Noun):
 
 
 def expand(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
-    """Put the chosen bodies in their places; returns which place of the machine stands where in the file."""
-    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", None)
-    chosen = wanted or default
-    if chosen is None:
-        return {}
-    if not isinstance(sets, dict) or str(chosen) not in sets:
-        have = ", ".join(sets) if isinstance(sets, dict) and sets else "none"
-        raise MachineError(f"there is no parameter set '{chosen}'", where=where, remedy=f"the file has: {have}")
-    data["parameter_set"] = chosen
-    parts = [(kind, part) for kind in ("links", "cylinders") if isinstance(data.get(kind), list)
-             for part in data[kind] if isinstance(part, dict)]
-    moved = {}
-    for name, stated in table(sets[chosen], f"{where}: parameter_sets.{chosen}").items():
-        there = f"parameter_sets.{chosen}.{name}"
-        found = [(kind, part) for kind, part in parts if part.get("name") == name]
-        if not found:
-            raise MachineError(f"parameter set '{chosen}' names '{name}', which does not exist", where=where,
-                               remedy="name a link or a cylinder")
-        if len(found) > 1:
-            raise MachineError(f"the name '{name}' is used {len(found)} times", where=where,
-                               remedy="give each part a name of its own")
-        kind, part = found[0]
-        table(stated, f"{where}: {there}")
-        if kind == "links":
-            part["body"] = stated
-            moved[f"links[{name}].body"] = there
-            continue
-        for end, body in stated.items():
-            if end not in CylinderBodies.model_fields:
-                raise MachineError("this key is unknown", where=f"{where}: {there}.{end}",
-                                   remedy="give the bodies of 'barrel' and 'rod'")
-            if isinstance(part.get(end), dict):
-                part[end]["body"] = body
+    """Put the chosen bodies in their places of a description that was validated.
+
+    Returns:
+        Which place of the machine stands where in the file.
+
+    Raises:
+        MachineError: there is no such set, or any of the sets names a part that there is not, or one of the other kind.
+    """
+    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", "")
+    chosen, moved = wanted or default, dict[str, str]()
+    if chosen and chosen not in sets:
+        raise MachineError(f"there is no parameter set '{chosen}'", where=where,
+                           remedy=f"the file has: {', '.join(sets) or 'none'}")
+    links, cylinders = ({part["name"]: part for part in data.get(kind, [])} for kind in ("links", "cylinders"))
+    for given, bodies in sets.items():
+        for name, stated in bodies.items():
+            there = f"parameter_sets.{given}.{name}"
+            ends = stated.keys() <= CylinderBodies.model_fields.keys()
+            if name not in (cylinders if ends else links):
+                other = {True: "a link: state its body", False: "a cylinder: state the bodies of 'barrel' and 'rod'"}
+                raise MachineError(f"parameter set '{given}' names '{name}', which does not exist"
+                                   if name not in {*links, *cylinders} else f"'{name}' is {other[ends]}",
+                                   where=f"{where}: {there}", remedy="name a link or a cylinder, and what it has")
+            if given == chosen and not ends:
+                links[name]["body"] = stated
+                moved[f"links[{name}].body"] = there
+            for end, body in stated.items() if given == chosen and ends else ():
+                cylinders[name][end]["body"] = body
                 moved[f"cylinders[{name}].{end}.body"] = f"{there}.{end}"
+    if chosen:
+        data["parameter_set"] = chosen
     return moved

@@ -157,6 +157,7 @@ TorquePerPressure = Annotated[float, _displacement, BeforeValidator(_displacemen
 Flow = Annotated[float, *_quantity("m^3/s"), _finite]
 Speed = Annotated[float, *_quantity("m/s"), _finite]
 AngularSpeed = Annotated[float, *_quantity("rad/s", "m/s"), _finite]
+JointAcceleration = Annotated[float, *_quantity("rad/s^2", "m/s^2"), _finite]
 AngularRate = Annotated[float, *_quantity("rad/s"), _finite]
 AngularRateDensity = Annotated[float, *_quantity("rad/s/Hz^0.5"), _finite]
 AccelerationDensity = Annotated[float, *_quantity("m/s^2/Hz^0.5"), _finite]

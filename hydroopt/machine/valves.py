@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, StrictBool, ValidationInfo, model_validator
 
 from hydroopt.machine.quantity import (
     Duration,
@@ -148,5 +148,5 @@ class Circuit(Noun):
     """
     air_b: Number | None = Field(None, ge=0, le=0.9)
     """Free air in chamber B and its hose, likewise."""
-    anticavitation: bool = False
+    anticavitation: StrictBool = False
     """Whether check valves let oil follow from the tank when a chamber's pressure falls below the tank's."""

@@ -19,6 +19,7 @@ from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model
+from studies.first_contact import machine_files
 
 INCH, PSI = 0.0254, 6894.757293168
 
@@ -158,6 +159,22 @@ def test_parameter_sets(arm: Machine) -> None:
     assert heavy.cylinders[0].barrel.body is None
     with pytest.raises(MachineError, match=r"no parameter set 'middle'.*light, heavy"):
         read_machine(ARM, parameter_set="middle")
+
+
+@pytest.mark.parametrize("chosen", ["light", "heavy"])
+def test_a_set_is_validated_whether_it_is_chosen_or_not(chosen: str) -> None:
+    for old, new, words in (('m = "30 kg"', 'm = "30 m"', r"light.boom_cylinder.barrel.m: 'm' is not a unit"),
+                            ('m = "400 kg"', "m = [1]", r"heavy.boom.m: must be a number, not '.1.'"),
+                            ('m = "400 kg"', "size = 3", r"heavy.boom.size: this key is unknown"),
+                            ("heavy.boom]", "heavy.jib]", r"heavy.jib: .*'heavy' names 'jib', which does not exist")):
+        with pytest.raises(MachineError, match=rf"parameter_sets.{words}"):
+            read_machine(ARM.replace(old, new), parameter_set=chosen)
+
+
+def test_spoilt_tables_end_in_a_machine_or_a_sentence() -> None:
+    found = machine_files.run(100)
+    assert found["machine_files_tracebacks"] == found["machine_files_hangs"] == 0
+    assert 3 < found["machine_files_read"] < 50
 
 
 @pytest.mark.parametrize("name", machines())

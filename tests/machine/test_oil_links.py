@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import casadi as ca
@@ -12,7 +13,7 @@ from scipy.optimize import brentq
 from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import load_machine, read_machine
+from hydroopt.machine.machine_file import build_machine, load_machine, read_machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.model import Model
 
@@ -83,7 +84,7 @@ def test_shut_in_oil_does_no_work(machine: Machine) -> None:
 
 @pytest.mark.parametrize(("old", "new", "words"), [
     ('"rod to rod"', '"rod to head"', r"oil_links\[levelling\].lines: the two lines contradict .*-1.000 m by"),
-    ('"rod to rod"', '"oil to rod"', "use head to head, head to rod, rod to head, rod to rod"),
+    ('"rod to rod"', '"oil to rod"', "lines.1.: must be 'head to head', 'head to rod', .* not 'oil to rod'"),
     ('link = "basket"', 'link = "bucket"', r"slave.rod.link: 'bucket' does not exist"),
     ('link = "basket"', 'link = "boom"', "slave: no moving joint lies between the two ends"),
     ('rod_diameter = { value = "40 mm"', 'rod_diameter = { value = "80 mm"', "the rod is not thinner than the bore"),
@@ -98,10 +99,11 @@ def test_bad_oil_links(old: str, new: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(("stated", "words"), [
-    ("3", "must be a list of tables"), ("[3]", r"oil_links\[0\]: must be a table")])
-def test_oil_links_that_are_no_tables(stated: str, words: str) -> None:
+    (3, r"oil_links: must be a list of tables; write \[\[oil_links\]\]"),
+    ([3], r"oil_links\[0\]: must be a table")])
+def test_oil_links_that_are_no_tables(stated: object, words: str) -> None:
     with pytest.raises(MachineError, match=words):
-        read_machine(f'name = "lift"\noil_links = {stated}\n')
+        build_machine(tomllib.loads(FILE) | {"oil_links": stated}, "machine")
 
 
 def test_strokes_that_are_too_short_are_all_named_at_once() -> None:

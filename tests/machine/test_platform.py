@@ -111,10 +111,12 @@ def test_margin_to_a_singular_posture(platform: Machine) -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [
-    ('[links.free]', '[links.free]\nheave = { lower = "0 m", upper = "1 m" }', "free.heave.*coordinate is unknown"),
+    ('[links.free]', '[links.free]\nheave = { lower = "0 m", upper = "1 m" }',
+     "free.heave: this key is unknown; use one of x, y, z"),
     ('name = "platform"\n', 'name = "platform"\njoint = { type = "locked" }\n', "free link has a joint, too"),
     ('yaw = { lower = "-8 deg"', 'yaw = { lower = "12 deg"', "free.yaw.*not below the upper"),
-    ('pitch = { lower = "-6 deg"', 'pitch = { limit = "-6 deg"', "free.pitch.*must be a table of limits"),
+    ('pitch = { lower = "-6 deg"', 'pitch = { limit = "-6 deg"',
+     "free.pitch.limit: this key is unknown; use one of lower, upper"),
     ('stroke = { value = "1.25 m"', 'stroke = { value = "0.8 m"', "'leg1' would be .* can only be 2.080 to 2.880 m"),
 ])
 def test_bad_platforms(old: str, new: str, words: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
+from hydroopt.machine.file_schema import validate
 from hydroopt.machine.robot_formats.axes import Numbers
 from hydroopt.spatial.inertia import Array
 from hydroopt.units import to_si
@@ -60,66 +61,42 @@ def read_sidecar(path: str | Path) -> Sidecar | None:
     """The sidecar beside a robot file; None where there is none.
 
     Raises:
-        MachineError: it is no TOML, or its links are no tables.
+        MachineError: it is no TOML, or states what no machine file may.
     """
     file = beside(path)
     if not file.exists():
         return None
     where = str(file)
     tables = toml(read_text(file, MachineError, noun="sidecar"), MachineError, where=where)
-    links = _named(tables, "links", where)
+    plain = validate(tables, where, whole=False)
+    links, drives, couplings, motors, cylinders = (
+        {part["name"]: part for part in plain.get(kind, [])}
+        for kind in ("links", "drives", "couplings", "motors", "cylinders"))
     joints = {name: link.get("joint", {}) for name, link in links.items()}
-    if any(not isinstance(joint, dict) for joint in joints.values()):
-        raise MachineError("a joint is no table", where=f"{where}: links", remedy="state it key by key")
-    couplings = _named(tables, "couplings", where)
+    for name, cylinder in cylinders.items():
+        if "pin" not in cylinder.get("barrel", {}):
+            raise MachineError("this key is missing", where=f"{where}: cylinders[{name}].barrel.pin", remedy="add it")
     return Sidecar(
         where, tables,
-        frames={name: Numbers(0.0, 0.0, *(_number(joint.get(key), unit, f"{where}: links[{name}].joint.{key}")
+        frames={name: Numbers(0.0, 0.0, *(to_si(joint.get(key, f"0 {unit}"), unit, where=key)
                                           for key, unit in (("a", "m"), ("alpha", "rad"), ("beta", "rad"))))
                 for name, joint in joints.items()},
-        pins={name: _point(link["pin"], f"{where}: links[{name}].pin")
-              for name, link in links.items() if "pin" in link},
+        pins={name: _point(link["pin"]) for name, link in links.items() if "pin" in link},
         locked=frozenset(name for name, joint in joints.items() if joint.get("type") == "locked"),
         dependent=frozenset(name for name, joint in joints.items() if joint.get("dependent")),
-        drives={str(drive.get("joint")): name for name, drive in _named(tables, "drives", where).items()},
-        couplings={str(each.get("joint")): name for name, each in couplings.items() if "ratios" not in each},
-        rubbing=frozenset(name for name, joint in joints.items() if isinstance(friction := joint.get("friction"), dict)
-                          and any(not is_zero(value) for value in friction.values())),
-        motors=frozenset(str(each.get("joint")) for each in _named(tables, "motors", where).values()),
-        cylinders={name: _point(each.get("barrel", {}).get("pin"), f"{where}: cylinders[{name}].barrel.pin")
-                   for name, each in _named(tables, "cylinders", where).items()})
+        drives={drive.get("joint", ""): name for name, drive in drives.items()},
+        couplings={each.get("joint", ""): name for name, each in couplings.items() if "ratios" not in each},
+        rubbing=frozenset(name for name, joint in joints.items()
+                          if not all(map(is_zero, joint.get("friction", {}).values()))),
+        motors=frozenset(each.get("joint", "") for each in motors.values()),
+        cylinders={name: _point(each["barrel"]["pin"]) for name, each in cylinders.items()})
 
 
-def _named(tables: dict[str, Any], key: str, where: str) -> dict[str, dict[str, Any]]:
-    """Parts of a kind by their names."""
-    parts = tables.get(key, [])
-    if not isinstance(parts, list) or not all(isinstance(part, dict) and isinstance(part.get("name"), str)
-                                              for part in parts):
-        raise MachineError("must be tables, each with a name", where=f"{where}: {key}",
-                           remedy=f"write [[{key}]] above each of them, and its name")
-    return {part["name"]: part for part in parts}
-
-
-def _value(stated: Any) -> Any:
-    return stated.get("value") if isinstance(stated, dict) else stated
-
-
-def _point(stated: Any, where: str) -> Array:
-    values = _value(stated)
-    if not isinstance(values, list) or len(values) != 3:
-        raise MachineError("must be three lengths", where=where, remedy="state x, y and z")
-    return np.array([_number(value, "m", where) for value in values])
-
-
-def _number(stated: Any, unit: str, where: str) -> float:
-    value = _value(stated)
-    return 0.0 if value is None else to_si(str(value), unit, where=where)
+def _point(stated: list[str]) -> Array:
+    return np.array([to_si(value, "m", where="pin") for value in stated])
 
 
 def is_zero(stated: Any) -> bool:
     """Whether a quantity is zero, or only what is known of it beside its value is stated."""
-    value = _value(stated)
-    try:
-        return value is None or float(str(value).split()[0]) == 0.0
-    except (ValueError, IndexError):
-        return False
+    value = stated.get("value") if isinstance(stated, dict) else stated
+    return value is None or float(str(value).split()[0]) == 0.0
