@@ -93,7 +93,7 @@ def view(shown: Any) -> View:
                 return View(getattr(import_module(place[0]), place[1])(shown), shown.machine_name)
     machine = getattr(shown, "machine", shown)
     if type(machine).__name__ != "Machine":
-        raise ProblemError(f"a {type(shown).__name__} has no page", where="view",
+        raise ProblemError(f"a {type(shown).__name__} has no page", where="page",
                            remedy="give a Machine, its name or file, an answer, or the folder of one")
     return _of_machine(machine)
 

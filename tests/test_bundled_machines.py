@@ -125,7 +125,7 @@ def test_what_swings_freely_follows_the_truth_of_its_balance(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DYNAMIC)
 def test_a_motion_is_designed_within_all_limits(name: str, tmp_path: Path) -> None:
-    answer = CliRunner().invoke(app, ["excite", name, "--seconds", "2", "--starts", "2", "--processes", "1", "--quiet",
+    answer = CliRunner().invoke(app, ["excite", name, "--search-seconds", "2", "--starts", "2", "--processes", "1",
                                       "-o", str(tmp_path / "out")])
     assert answer.exit_code == 0, answer.output
     assert (tmp_path / "out" / "trajectory.csv").is_file()

@@ -50,7 +50,7 @@ def excite(
         metavar="LOG...",
         help="Log already measured, to which the motion is to add; repeatable.")] = None,
     map_file: MapFile = None,
-    duration: Annotated[float, typer.Option(help="Duration of the random or designed motion [s].")] = 33.0,
+    duration: Annotated[float, typer.Option(help="Duration of the motion [s].")] = 33.0,
     period: Annotated[float | None, typer.Option(
         help="Of the Fourier series [s]; else what entry and exit leave of the duration.")] = None,
     harmonics: Annotated[int | None, typer.Option(
@@ -76,8 +76,8 @@ def excite(
     priors: Priors = False,
     starts: Starts = 16,
     processes: Processes = None,
-    seconds: Annotated[float | None, typer.Option(
-        help="After which the best motion so far is taken; the result then depends on the computer's speed.",
+    search_seconds: Annotated[float | None, typer.Option(
+        help="Time limit of the search [s]; the best motion so far then depends on the computer's speed.",
         min=1.0)] = None,
     seed: Seed = 0,
     parquet: AsParquet = False,
@@ -130,7 +130,8 @@ def excite(
                                      logs=logs, rate=rate, resting=resting, reserves=reserves,
                                      known=None if estimate is None else identified(described, estimate))
         say("taking the first steps of each start")
-        motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
+        motion = solve(problem, starts=starts, seed=seed, search_seconds=search_seconds,
+                       processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
         motion = at_pace(motion, pace)
         if start:

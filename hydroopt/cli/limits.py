@@ -11,7 +11,7 @@ from typer.core import TyperCommand
 
 from hydroopt.errors import ProblemError, shortened
 
-LARGEST = {"duration": 1e5, "period": 1e5, "blend": 1e5, "per_actuator": 1e5, "seconds": 1e7, "rate": 1e5,
+LARGEST = {"duration": 1e5, "period": 1e5, "blend": 1e5, "per_actuator": 1e5, "search_seconds": 1e7, "rate": 1e5,
            "bandwidth": 1e5, "harmonics": 1e5, "pieces": 1e5, "starts": 1e5, "cells": 1e6, "poses": 1e4,
            "candidates": 1e6, "processes": 1024, "seed": 2.0**63, "truth_seed": 2.0**63, "accuracy": 1e6}
 """Largest magnitude by the name of the option."""

@@ -168,7 +168,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
             for seconds, command in delay.push(u):
                 x = integrator(x, seconds, command, supply)
         except IntegrationError:
-            raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="control",
+            raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="closed loop",
                               remedy="check the numbers of its circuits, or lower the gains") from None
     x, done = np.array(states), len(states)
     pushed = [plant.flow_and_contact(*each, psi, theta) for each in zip(states, acting, strict=True)]

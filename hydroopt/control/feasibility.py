@@ -102,5 +102,5 @@ def refuse_unstable(name: str, margins: Sequence[Margin], duration: float) -> No
         worst = min(unstable, key=lambda margin: margin.distance)
         raise ProblemError(
             f"the loop of '{worst.loop}' is unstable with {name} in the posture of the {worst.point}, where its gain "
-            f"margin is {20 * np.log10(worst.gain):.1f} dB", where="control",
+            f"margin is {20 * np.log10(worst.gain):.1f} dB", where="closed loop",
             remedy="lower --gain or --sensitivity, raise --rate, or leave this controller out with --controller")

@@ -9,6 +9,6 @@ if TYPE_CHECKING:
     import control
 else:
     import_matplotlib()
-    control = needed("control", "controllers are designed with python-control", where="control")
+    control = needed("control", "controllers are designed with python-control", where="closed loop")
 
 __all__ = ["control"]

@@ -147,7 +147,7 @@ class Demands:
             later = self.valves.pressures(start, np.diff(times), (speed, length, force), rate[:-1], supply)
         except IntegrationError as error:
             raise SolverError(f"the pressures of the motion cannot be integrated beyond {times[error.pieces]:.2f} s",
-                              where="control", remedy="check the numbers of the machine's circuits") from None
+                              where="closed loop", remedy="check the numbers of the machine's circuits") from None
         p_a = np.vstack([start, later])
         return p_a, (a * p_a - force) / b
 

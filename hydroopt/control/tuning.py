@@ -269,5 +269,5 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
             progress(f"tuning {name}", (sweep + k / len(names)) / SWEEPS)
             if not tuner.tune(k, 0.0 if sweep == SWEEPS - 1 else math.inf):
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
-                                   where="control", remedy="raise --rate, or allow a higher --sensitivity")
+                                   where="closed loop", remedy="raise --rate, or allow a higher --sensitivity")
     return tuner.gains

@@ -78,7 +78,7 @@ class Kind(StrEnum):
     VALVE_SATURATED = "valve saturated"
 
     # design of a motion
-    SEARCH_INTERRUPTED = "search interrupted"
+    SEARCH_CUT_SHORT = "search cut short"
     RANDOM_TELLS_MORE = "a random motion tells more"
     NOT_LIMITED = "not limited"
     LIMIT_BROKEN = "limit broken"
@@ -229,7 +229,7 @@ CONTRADICTIONS = OF_LOGS | {
     Kind.FASTER_THAN_SMOOTHING, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO,
     Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.COMMANDS_LATE, Kind.ERRORS_FAR_LARGER,
-    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
+    Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
@@ -294,10 +294,12 @@ WORDS: dict[Kind, Words] = {
         "Even the best controller, {subject}, ends before the motion does.",
         "Drive a slower motion, or correct the machine's valves and pump."),
     Kind.VALVE_SATURATED: Words("With {subject} the valve of {valve} is fully open {part:.0f %} of the time."),
-    Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
+    Kind.SEARCH_CUT_SHORT: Words(
+        "The search was cut short {how}: the motion keeps all limits, but may not be the best.",
+        "Search longer, without `--search-seconds` or with more of them."),
     Kind.RANDOM_TELLS_MORE: Words(
         "The best of {motions} random motions determines more than this one: the search ended too early.",
-        "Search longer (`--seconds`) or from more starts (`--starts`)."),
+        "Search longer (`--search-seconds`) or from more starts (`--starts`)."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
     Kind.LIMIT_BROKEN: Words(
         "{log}: {subject} is beyond its limit by {amount} at {at:.2f} s, the tip at ({x:.2f}, {y:.2f}, {z:.2f}) m.",

@@ -62,11 +62,11 @@ def passive_motion(model: Model, t: Array, motion: tuple[Array, Array, Array], p
                       (t[0], t[-1]), start, "Radau" if np.any(dry) else "DOP853", t, rtol=TOLERANCE, atol=TOLERANCE)
     if not found.success:
         raise SolverError(f"the motion of {', '.join(machine.joints[k] for k in passive)} cannot be integrated beyond "
-                          f"{found.t[-1]:.2f} s", where="simulate", remedy="choose a slower motion")
+                          f"{found.t[-1]:.2f} s", where="simulation", remedy="choose a slower motion")
     for k, values in zip(passive, found.y, strict=False):
         lower, upper = machine.link(machine.joints[k]).joint.range
         if np.min(values) < lower or np.max(values) > upper:
-            raise ProblemError(f"the passive joint '{machine.joints[k]}' leaves its range", where="simulate",
+            raise ProblemError(f"the passive joint '{machine.joints[k]}' leaves its range", where="simulation",
                                remedy="choose a slower motion, or widen its range")
     made = [state(time, y) for time, y in zip(t, found.y.T, strict=True)]
     q, qd, qdd = (np.array([one[order] for one in made]) for order in range(3))

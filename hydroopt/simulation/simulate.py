@@ -74,10 +74,10 @@ def random_trajectory(model: Model | GivenMachine, *, duration: float, rate: flo
     """
     model = model_of(model, "random_trajectory")
     if not (duration > 0 and rate > 0 and duration * rate >= 2):
-        raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
+        raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulation",
                            remedy="give a positive duration and rate")
     if duration * rate > 1e7 or duration > 1e6:
-        raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
+        raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulation",
                            remedy="shorten the duration or lower the rate")
     rng = np.random.default_rng(seed)
     multiples = np.arange(1, max(1, int(fastest * duration)) + 1)
@@ -190,7 +190,7 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     motion = replace(motion, qd=np.where(np.abs(motion.qd) < STANDSTILL, 0.0, motion.qd))
     if own := set(model.pressed) - set(model.machine.sealed):
         raise ProblemError(f"own terms of {', '.join(own)} depend on pressures, which follow from forces",
-                           where="simulate", remedy="simulate without these terms")
+                           where="simulation", remedy="simulate without these terms")
     if not model.machine.one_each:
         return _shared_forces(model, motion, psi)
     state, still = (motion.q, motion.qd, motion.qdd), np.zeros_like(motion.q)
@@ -209,8 +209,9 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     for k, actuator in enumerate(model.machine.actuators):
         if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):
             if not seals[model.parameters.index(f"{actuator.name}.f_seal")] < actuator.areas[1]:
-                raise ProblemError(f"the seals of {actuator.name} would hold it against any pressure", where="simulate",
-                                   remedy=f"keep its seal below the rod side's area of {actuator.areas[1]:.4g} m^2")
+                raise ProblemError(f"the seals of {actuator.name} would hold it against any pressure",
+                                   where="simulation", remedy=f"keep its seal below the rod side's area of "
+                                                              f"{actuator.areas[1]:.4g} m^2")
             force[:, k] = _sealed(force[:, k], share[:, k], *actuator.areas)
     return force
 
@@ -235,7 +236,7 @@ def _shared_forces(model: Model, motion: Trajectory, psi: Array) -> Array:
         if np.max(np.abs(pressure - before)) <= SETTLED:
             return np.asarray(force)
     raise ProblemError(f"the seals of {', '.join(machine.sealed)} would hold them against any pressure",
-                       where="simulate", remedy="keep the seals well below the rod sides' areas")
+                       where="simulation", remedy="keep the seals well below the rod sides' areas")
 
 
 def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
@@ -269,7 +270,7 @@ def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None 
     """
     model = model_of(model, "simulate")
     if not isinstance(motion, Trajectory):
-        raise ProblemError(f"this is a {type(motion).__name__}, not a motion", where="simulate",
+        raise ProblemError(f"this is a {type(motion).__name__}, not a motion", where="simulation",
                            remedy="give a Trajectory, such as random_trajectory(model, duration=30, rate=50, seed=1)")
     psi = model.parameters.nominal if psi is None else psi
     rng = np.random.default_rng(seed)

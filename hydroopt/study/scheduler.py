@@ -182,7 +182,7 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
 
 
 def _lost() -> SolverError:
-    return SolverError("the connection to the scheduler was lost; finished cells are kept", where="study",
+    return SolverError("the connection to the scheduler was lost; finished cells are kept", where="scheduler",
                        remedy="check that it runs and repeat the same command")
 
 

@@ -320,12 +320,12 @@ def weigh(scale: Scale, logs: Log | Sequence[Log], *, tare: float = 10.0, needed
     ((), (3,))
     """
     if not (tare >= 0 and (needed is None or needed > 0)):
-        raise ProblemError("a tare is not negative, and an interval positive", where="weigh",
+        raise ProblemError("a tare is not negative, and an interval positive", where="weighing",
                            remedy="give the tare in s and the interval in kg")
     needed = NEEDED * scale.load.full_scale if needed is None else needed
     given = all_of(logs, (Log,), "log", scale.machine.name)
     if not given:
-        raise LogError("there is no log", where="weigh", remedy="give one or several")
+        raise LogError("there is no log", where="weighing", remedy="give one or several")
     found: list[WeighedLog] = []
     for log in given:
         made = equations(scale, smoothed_log(scale.model, log))

@@ -55,7 +55,7 @@ def run() -> dict:
     program = excitation_problem(load_machine("cat215b"), Fourier(29.0, 10))
     model, asked = program.information.model, program.information.parameters
     began = time.perf_counter()
-    best = design(program, processes=CORES, seconds=SECONDS)
+    best = design(program, processes=CORES, search_seconds=SECONDS)
     took = time.perf_counter() - began
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
         value, x = min(shared(pool, parts.random_motions, program, RANDOM), key=lambda each: each[0])

@@ -94,7 +94,7 @@ def outcome(seed: int) -> Outcome:
     limits = Limits(model)
     try:
         program = excitation_problem(machine, basis, criterion=str(rng.choice(CRITERIA)), rate=RATE, resting=resting)
-        found = design(program, starts=1, seed=seed, seconds=0.5)
+        found = design(program, starts=1, seed=seed, search_seconds=0.5)
     except ProblemError as error:
         q = random_states(model, 20_000, rng)[0]
         for joint, at in resting.items():

@@ -57,7 +57,7 @@ JOBS = {
     "compare": Job("compare {what}.toml one/log.csv two/log.csv"),
     "calibrate": Job(f"calibrate {PANDA} --seed {{seed}}"),
     "plan-poses": Job("plan-poses cat215b -n 3 --candidates 50 --seed {seed}"),
-    "excite": Job("excite {what}.toml --duration 8 --blend 1 --harmonics 2 --starts 2 --processes 2 --seconds 2",
+    "excite": Job("excite {what}.toml --duration 8 --blend 1 --harmonics 2 --starts 2 --processes 2 --search-seconds 2",
                   exact=False),
     "control": Job("control patu_{what}.toml --motion driven/log.csv --controller pi"),
     "study": Job("study montecarlo crane.toml --cells 4 --duration 4 --rate 25 --processes 2", saved=False),

@@ -82,7 +82,7 @@ def designed(model: Model, asked: DesignParameters) -> tuple[Excitation, float]:
     program = ExcitationProblem(Information(model, asked, "condition"), Limits(model),
                                 Fourier(10.0, 5), 100.0)
     began = time.perf_counter()
-    found = design(program, processes=2, seconds=SECONDS)
+    found = design(program, processes=2, search_seconds=SECONDS)
     return found, time.perf_counter() - began
 
 

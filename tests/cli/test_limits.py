@@ -10,8 +10,8 @@ from fixtures.bad_input_cases import DIGGER
 from hydroopt import cli
 from hydroopt.errors import LONGEST
 
-NUMBERS = {"simulate": ("--duration", "--rate", "--seed"), "excite": ("--seconds", "--duration", "--period", "--blend",
-           "--rate", "--harmonics", "--starts"), "control": ("--gain", "--sensitivity", "--rate"),
+NUMBERS = {"simulate": ("--duration", "--rate", "--seed"), "excite": ("--search-seconds", "--duration", "--period",
+           "--blend", "--rate", "--harmonics", "--starts"), "control": ("--gain", "--sensitivity", "--rate"),
            "identify": ("--ridge", "--tolerance", "--bandwidth"), "compare": ("--level",),
            "plan-poses": ("--poses", "--candidates")}
 OTHERS = {"excite": (), "simulate": (), "control": ("--motion", "none.csv"), "identify": ("none.csv",),

@@ -18,7 +18,7 @@ from hydroopt.results import json_file
 
 HOW_TO = Path(__file__).parents[2] / "docs/how-to"
 RIG = "'my rig.toml'"
-NOT_TO_BE_WIDE = {"excite": ("--seconds", "1"), "control": ("--rate", "50")}
+NOT_TO_BE_WIDE = {"excite": ("--search-seconds", "1"), "control": ("--rate", "50")}
 """Options that make a command of a test short; the last one of an option counts."""
 
 

@@ -23,7 +23,7 @@ from hydroopt.errors import LONGEST
 
 GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--duration", "2", "--rate", "20"],
         "identify": ["ARM", "LOG", "--method", "wls"], "calibrate": ["ARM", "POSES"],
-        "plan-poses": ["ARM", "-n", "2"], "excite": ["ARM", "--log", "LOG", "--seconds", "1", "--duration", "9"],
+        "plan-poses": ["ARM", "-n", "2"], "excite": ["ARM", "--log", "LOG", "--search-seconds", "1", "--duration", "9"],
         "control": ["ARM", "--motion", "PATH", "--truth", "TRUTH"],
         "compare": ["ARM", "ANSWER", "ANSWER", "ANSWER"],
         "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"],

@@ -39,7 +39,7 @@ def test_limits_are_kept_while_a_passive_joint_swings(seed: int) -> None:
     data = crane().model_dump()
     data["links"][-1]["joint"] |= {"max_speed": None, "max_acceleration": None}
     problem = ho.excitation_problem(Machine.model_validate(data), Fourier(period=8.0, harmonics=3), rate=50.0)
-    motion = ho.solve(problem, starts=1, seconds=20.0, seed=seed)
+    motion = ho.solve(problem, starts=1, search_seconds=20.0, seed=seed)
     assert min(use.room for use in motion.limits) >= 0
     # the balance of what nothing drives holds in the simulated motion, not in the design
     (force,) = motion.problem.information.model.over(

@@ -76,7 +76,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             case "calibrate-sensors":
                 return [job, IMUS, log(IMUS, 1)]
             case "excite":
-                return [job, "cat215b", "--duration", "12", "--harmonics", "3", "--seconds", "5"]
+                return [job, "cat215b", "--duration", "12", "--harmonics", "3", "--search-seconds", "5"]
             case "control":
                 (root / "path.csv").write_text(motion_to_follow(duration=6.0))
                 return [job, LIFT, "--motion", root / "path.csv", "--seed", "3"]

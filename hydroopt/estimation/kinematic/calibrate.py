@@ -44,6 +44,12 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
     """
     if starts < 1:
         raise ProblemError(f"{starts} initial guesses are too few", where="--starts", remedy="ask for one or more")
+    refuse_planned(problem)
+    return _calibrated(problem, method, starts=starts, seed=seed)
+
+
+def _calibrated(problem: CalibrationProblem, method: str, *, starts: int, seed: int) -> Calibration:
+    """The calibration of poses that were measured."""
     problem = solvable(problem, method)
     rng = np.random.default_rng(seed)
     answers: list[Optimum] = []
@@ -84,8 +90,8 @@ def without_suspects(calibration: Calibration, *, starts: int = 1) -> Calibratio
     """
     if not np.any(calibration.suspicious):
         return calibration
-    solved = calibrate(calibration.problem.without(calibration.suspicious), calibration.algorithm, starts=starts,
-                       seed=calibration.seed)
+    solved = _calibrated(calibration.problem.without(calibration.suspicious), calibration.algorithm, starts=starts,
+                         seed=calibration.seed)
     return replace(solved, all_poses=calibration)
 
 
@@ -112,7 +118,6 @@ def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
     refuse_unseen(problem)
     refuse_untouched(problem)
     refuse_misread_inclination(problem)
-    refuse_planned(problem)
     refuse_misread(problem)
     return problem
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.problem import UNFILLED, CalibrationProblem
+from hydroopt.estimation.kinematic.problem import UNFILLED, CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 
@@ -17,7 +17,9 @@ PLAY = 1e-3
 
 
 def refuse_planned(problem: CalibrationProblem) -> None:
-    """Refuse positions of joints beside which nothing was read, and readings that equal those of the nominal machine.
+    """Refuse positions of joints beside which nothing was read, and tables that equal the nominal machine as a whole.
+
+    It is asked once, of all poses that were read: what is left after some were left out or held out may well be exact.
 
     Raises:
         ProblemError: the table is a plan, or as good as one.
@@ -26,10 +28,18 @@ def refuse_planned(problem: CalibrationProblem) -> None:
     if not np.any(present):
         raise ProblemError("positions of joints are filled in, but no reading that the geometry can be compared with",
                            where=where, remedy="fill in places, lengths or distances, or name the fixture of each pose")
-    if present.sum() <= problem.layout.moving.sum():
-        return
-    nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
-    sigma = np.where(problem.row_sigma > 0, problem.row_sigma, PLAY)
-    if np.all(np.abs(gaps(problem, problem.start, nominal) / sigma)[present] < EXACT):
+    held_out = problem.validation
+    if _as_planned(problem) and (held_out is None or _as_planned(
+            calibration_problem(problem.model.machine, held_out))):
         raise ProblemError("the readings equal those of the nominal machine without any error: they are planned, not "
                            "measured", where=where, remedy=UNFILLED)
+
+
+def _as_planned(problem: CalibrationProblem) -> bool:
+    """Whether readings equal those of the nominal machine."""
+    present = problem.layout.present
+    if present.sum() <= problem.layout.moving.sum():
+        return False
+    nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
+    sigma = np.where(problem.row_sigma > 0, problem.row_sigma, PLAY)
+    return bool(np.all(np.abs(gaps(problem, problem.start, nominal) / sigma)[present] < EXACT))

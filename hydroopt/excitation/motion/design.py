@@ -57,8 +57,6 @@ BACK_OFF, ROUNDS = 0.001, 4
 """Part of every limit's range by which bounds are tightened, and how often this is increased."""
 STILL = 1e-6
 """Speed [rad/s, m/s] below which a motion counts as standstill."""
-SMALLEST, TRIES = 0.1, 10
-"""Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 Report = Callable[[int, str, float | None], None]
 """Receives a start, its criterion, and a better value or that its search has ended."""
 T = TypeVar("T")
@@ -94,7 +92,7 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
         >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
         >>> problem
         ExcitationProblem(patu655_lift: 5 coefficients, 5 base parameters, criterion D, 10 s at 100 Hz)
-        >>> motion = ho.solve(problem, starts=1, seconds=0.5)
+        >>> motion = ho.solve(problem, starts=1, search_seconds=0.5)
         >>> motion.trajectory.q.shape
         (1001, 1)
     """
@@ -110,7 +108,7 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
                                "role": "measured before"} for log in logs])
 
 
-def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float | None = None,
+def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, search_seconds: float | None = None,
            processes: int = 1, progress: Progress = silent) -> Excitation:
     """The best motion found from several starts; Ctrl-C ends the search and keeps it.
 
@@ -120,7 +118,8 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         problem: see `excitation_problem`.
         starts: random motions from which the search starts.
         seed: of the random motions.
-        seconds: time limit, if any, after which the best motion so far is returned; at least one start is begun.
+        search_seconds: time limit [s], if any, after which the best motion so far is returned; at least one start is
+            begun.
         processes: how many starts run at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
         progress: receives how far the search is.
@@ -130,12 +129,12 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         SolverError: a process ended without an answer.
         KeyboardInterrupt: Ctrl-C was pressed before a motion was found.
     """
-    if not (starts >= 1 and processes >= 1 and (seconds is None or seconds > 0)):
+    if not (starts >= 1 and processes >= 1 and (search_seconds is None or search_seconds > 0)):
         raise ProblemError("the search has no start, process or time", where="excitation",
                            remedy="give at least one start, one process and some seconds")
     at_rest = resting_posture(problem, np.random.default_rng(seed))
     kept = min(max(-(-starts // PART), FEWEST), starts)
-    end = np.inf if seconds is None else time.time() + seconds
+    end = np.inf if search_seconds is None else time.time() + search_seconds
     best, done = dict.fromkeys(CRITERIA, np.inf), 0.0
 
     def report(start: int, criterion: str, value: float | None) -> None:
@@ -152,12 +151,12 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         begun = [each for each in run(_begun, [(seed, start) for start in range(starts)]) if each is not None]
         begun.sort(key=lambda each: each.search.value)
         found = run(_ended, begun[:kept])
-        stopped = interrupted()
+        stopped = "by Ctrl-C" if interrupted() else f"after {search_seconds:g} s" if time.time() > end else ""
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
         best_first = [Excitation(problem, x, seed, starts, stopped)
                       for x, _ in sorted(moving, key=lambda each: each[1])]
-        return _as_it_swings(_least_smoothed(best_first), at_rest)
+        return _least_smoothed(best_first).within_limits(at_rest)
     if stopped:
         raise KeyboardInterrupt
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
@@ -190,7 +189,7 @@ def at_pace(found: Excitation, pace: float) -> Excitation:
         >>> import hydroopt as ho
         >>> from hydroopt.excitation.motion.basis import Fourier
         >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
-        >>> motion = ho.solve(problem, starts=1, seconds=0.5)
+        >>> motion = ho.solve(problem, starts=1, search_seconds=0.5)
         >>> slow = at_pace(motion, 0.5)
         >>> slow.problem.basis.duration, min(use.room for use in slow.limits) >= 0
         (20.0, True)
@@ -203,27 +202,7 @@ def at_pace(found: Excitation, pace: float) -> Excitation:
     own = found.problem
     problem = ExcitationProblem(own.information, own.limits, Slowed(own.basis, pace), own.rate, own.resting, own.inputs)
     rest = resting_posture(problem, np.random.default_rng(found.seed))
-    return _as_it_swings(replace(found, problem=problem, x=shrunk(problem, found.x, rest)), rest)
-
-
-def _as_it_swings(found: Excitation, rest: Array) -> Excitation:
-    """The motion itself, or made smaller until limits are kept while passive joints swing as they do.
-
-    Raises:
-        ProblemError: they are not kept however small the motion is.
-    """
-    if not found.problem.limits.hanging.joints:
-        return found
-    for part in np.linspace(1.0, SMALLEST, TRIES):
-        x = found.x if part == 1 else found.problem.hung(rest + part * (found.x - rest))
-        one = replace(found, x=x)
-        try:
-            if min(use.room for use in one.limits) >= 0:
-                return one
-        except ProblemError:  # a passive joint leaves its range
-            continue
-    raise ProblemError("passive joints swing beyond limits in every motion that was tried", where="excitation",
-                       remedy="give a slower motion: fewer harmonics, or a longer period")
+    return replace(found, problem=problem, x=shrunk(problem, found.x, rest)).within_limits(rest)
 
 
 @dataclass(frozen=True)

@@ -18,22 +18,22 @@ UNIMPROVED = 0.9
 
 
 def excitation_diagnostics(problem: ExcitationProblem, accuracy: ExpectedAccuracy, *,
-                           stopped: bool, better_random: int) -> tuple[Diagnostic, ...]:
+                           stopped: str, better_random: int) -> tuple[Diagnostic, ...]:
     """Diagnostics of search, machine file and expected accuracy, the most severe first.
 
     Args:
         problem: of the motion.
         accuracy: to expect of it.
-        stopped: whether the search was interrupted.
+        stopped: what cut the search short, empty if nothing did.
         better_random: number of random motions the best of which is better; 0 if none is.
     """
     return (*_search(stopped=stopped, better_random=better_random), *_unlimited(problem), *_unstated(problem),
             *_biased(accuracy), *_unimproved(problem, accuracy))
 
 
-def _search(*, stopped: bool, better_random: int) -> Iterator[Diagnostic]:
+def _search(*, stopped: str, better_random: int) -> Iterator[Diagnostic]:
     if stopped:
-        yield Diagnostic(Kind.SEARCH_INTERRUPTED)
+        yield Diagnostic(Kind.SEARCH_CUT_SHORT, (), {"how": stopped})
     if better_random:
         yield Diagnostic(Kind.RANDOM_TELLS_MORE, (), {"motions": better_random})
 

@@ -19,7 +19,7 @@ from hydroopt.excitation.motion.approach import Approach, approach, start_of
 from hydroopt.excitation.motion.diagnostics import UNIMPROVED, excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
-from hydroopt.excitation.motion.random_motion import best_random_motion
+from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture
 from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.limits.use import Course, UseOfLimit, courses
 from hydroopt.logs.table import encoded_columns
@@ -39,6 +39,8 @@ from hydroopt.spatial.inertia import Array
 METHOD = "sequential quadratic programming"
 COMPARED = {"condition": "condition number", "E": "largest standard deviation"}
 """What is compared with random motions, by criterion; by the others it is the standard deviations on average."""
+SMALLEST, TRIES = 0.1, 10
+"""Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
 
@@ -60,7 +62,7 @@ class Excitation(Answer):
         x: the coefficients, see `ExcitationProblem`.
         seed: of the starts, and of the log that is simulated for the expected accuracy.
         starts: random motions from which the search started.
-        stopped: whether the search was interrupted.
+        stopped: what cut the search short, ``by Ctrl-C`` or ``after 5 s``; empty if it ended by itself.
         approach: from where the machine stands to the first posture, if that was stated.
 
     Example:
@@ -84,7 +86,7 @@ class Excitation(Answer):
     x: Array
     seed: int = 0
     starts: int = 1
-    stopped: bool = False
+    stopped: str = ""
     approach: Approach | None = None
 
     @property
@@ -94,8 +96,8 @@ class Excitation(Answer):
 
     @property
     def method(self) -> str:
-        """How it was computed."""
-        return METHOD
+        """How it was computed, and first of all whether the search was cut short."""
+        return METHOD + (f", a search cut short {self.stopped}" if self.stopped else "")
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -136,12 +138,13 @@ class Excitation(Answer):
         table = self.parameters.rows
         sharper = [each.std / each.prior_std for each in table
                    if each.std is not None and each.prior_std and each.std <= UNIMPROVED * each.prior_std]
+        first = f"The search was cut short {self.stopped}. " if self.stopped else ""
         random = (f"the best of {self.random_motions} random motions has {self.gain:.2g} times the "
                   f"{self.compared}")
         if not sharper:
-            return f"No parameter is expected to become more certain; {random}."
-        return (f"{len(sharper)} of {len(table)} parameters are expected to become more certain, in the median to "
-                f"{100 * float(np.median(sharper)):.2g} % of their standard deviation before; {random}.")
+            return f"{first}No parameter is expected to become more certain; {random}."
+        return (f"{first}{len(sharper)} of {len(table)} parameters are expected to become more certain, in the median "
+                f"to {100 * float(np.median(sharper)):.2g} % of their standard deviation before; {random}.")
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -174,7 +177,7 @@ class Excitation(Answer):
             "best_random": {
                 "motions": self.random_motions, "value": number(self.best_random.value), "ratio": number(self.gain),
                 "condition_numbers": self.best_random.condition_numbers, "excited": self.best_random.excited},
-            "stopped": self.stopped,
+            "stopped": self.stopped or None,
             "focus": list(problem.parameters.focus_names), "priors": problem.parameters.bayesian,
             "seed": self.seed, "starts": self.starts, "rate": problem.rate, "duration": basis.duration,
             "samples": problem.samples, "resting": problem.resting,
@@ -345,7 +348,27 @@ class Excitation(Answer):
     @cached_property
     def best_random(self) -> Excitation:
         """The best of `random_motions` random motions with the same functions of time within the same limits."""
-        return Excitation(self.problem, best_random_motion(self.problem, self.random_motions, self.seed), self.seed)
+        problem, rest = self.problem, resting_posture(self.problem, np.random.default_rng(self.seed))
+        return Excitation(problem, best_random_motion(problem, self.random_motions, self.seed),
+                          self.seed).within_limits(rest)
+
+    def within_limits(self, rest: Array) -> Excitation:
+        """Itself, or the motion made smaller about a resting posture until passive joints that swing keep limits, too.
+
+        Raises:
+            ProblemError: they are not kept however small the motion is.
+        """
+        if not self.problem.limits.hanging.joints:
+            return self
+        for part in np.linspace(1.0, SMALLEST, TRIES):
+            one = self if part == 1 else replace(self, x=self.problem.hung(rest + part * (self.x - rest)))
+            try:
+                if min(use.room for use in one.limits) >= 0:
+                    return one
+            except ProblemError:  # a passive joint leaves its range
+                continue
+        raise ProblemError("passive joints swing beyond limits in every motion that was tried", where="excitation",
+                           remedy="give a slower motion: fewer harmonics, or a longer period")
 
     @property
     def compared(self) -> str:

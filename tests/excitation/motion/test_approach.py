@@ -113,7 +113,7 @@ def test_a_reserve_of_what_is_not_limited_is_refused(tmp_path: Path) -> None:
 def test_the_sheet_waits_until_a_grapple_hangs_still(tmp_path: Path) -> None:
     """The motion is checked from rest, and the grapple swings at the end of an approach."""
     done = CliRunner().invoke(app, [
-        "excite", "forestry_crane", "-o", str(tmp_path), "--starts", "1", "--processes", "1", "--seconds", "1",
+        "excite", "forestry_crane", "-o", str(tmp_path), "--starts", "1", "--processes", "1", "--search-seconds", "1",
         "--duration", "15", "--harmonics", "2", "--quiet"])
     assert done.exit_code == 0, done.exception
     assert "Wait until swing and sway hang still" in (tmp_path / "sheet.html").read_text("utf-8")

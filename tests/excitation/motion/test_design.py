@@ -122,7 +122,7 @@ def test_no_motion_breaks_a_limit(model: Model, seed: int) -> None:
     program = ExcitationProblem(Information(narrow, design_parameters(narrow, force_noise(narrow)), "D"),
                                 Limits(narrow),
                       basis, 20.0, {"swing": 0.2} if seed == 3 else None)
-    found = design(program, starts=1, seed=seed, seconds=3.0)
+    found = design(program, starts=1, seed=seed, search_seconds=3.0)
     assert all(use.room >= 0 for use in found.limits)
     path = found.trajectory
     speed = narrow.over(narrow.cylinder_kinematics, path.q, path.qd, path.qdd)[1][:, :, 0]
@@ -143,7 +143,7 @@ def test_what_no_posture_keeps_is_named(model: Model) -> None:
 
     nowhere = Workspace(lower=(20.0, -1.0, -1.0), upper=(21.0, 1.0, 1.0))
     with pytest.raises(ProblemError, match="workspace along x cannot be kept in any posture"):
-        design(limited(model.machine.model_copy(update={"workspace": nowhere})), starts=1, seconds=1.0)
+        design(limited(model.machine.model_copy(update={"workspace": nowhere})), starts=1, search_seconds=1.0)
     with pytest.raises(ProblemError, match="bandwidth"):
         ExcitationProblem(Information(model, design_parameters(model, force_noise(model)), "D"), Limits(model),
                           Fourier(5.0, 20), 20.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -172,7 +173,7 @@ def test_limits_in_conflict_are_named(kind: str) -> None:
     machine = CAT.model_copy(update={key: changes[key] for key in changes if key in (
         "obstacles", "ground", "workspace", "cylinders")})
     with pytest.raises(ProblemError, match=named) as caught:
-        design(program(machine), starts=1, seconds=2.0)
+        design(program(machine), starts=1, search_seconds=2.0)
     assert "machine file" in caught.value.remedy
     assert "tipping" not in caught.value.what
 
@@ -181,16 +182,16 @@ def test_limits_in_conflict_are_named(kind: str) -> None:
 def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
     """With the boom raised, the tip is never low enough; by itself either can be kept."""
     high = CAT.model_copy(update={"workspace": Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, -1.0))})
-    design(program(high), starts=1, seconds=1.0)
+    design(program(high), starts=1, search_seconds=1.0)
     with pytest.raises(ProblemError, match=r"workspace along z .*posture of joints that rest"):
-        design(program(high, resting={"boom": CAT.link("boom").joint.range[0]}), starts=1, seconds=1.0)
+        design(program(high, resting={"boom": CAT.link("boom").joint.range[0]}), starts=1, search_seconds=1.0)
 
 
 @pytest.mark.parametrize("litres", [60.0, 0.6])
 @pytest.mark.slow
 def test_small_pump_leaves_a_small_motion(litres: float) -> None:
     flow = litres / 60e3
-    found = design(program(CAT.model_copy(update={"pump": Pump(max_flow=flow)})), starts=1, seconds=2.0)
+    found = design(program(CAT.model_copy(update={"pump": Pump(max_flow=flow)})), starts=1, search_seconds=2.0)
     model, path = found.problem.information.model, found.trajectory
     speed = model.over(model.cylinder_kinematics, path.q, path.qd, path.qdd)[1][:, :, 0]
     motor = CAT.motors[0]
@@ -201,8 +202,19 @@ def test_small_pump_leaves_a_small_motion(litres: float) -> None:
     assert min(use.room for use in found.limits) >= 0
 
 
+def test_a_search_cut_short_says_so_before_anything_else() -> None:
+    """On the first line of the card and of the finding, and in the method that JSON files and pages state."""
+    found = design(program(LIFT), starts=3, search_seconds=0.01)
+    cut = "cut short after 0.01 s"
+    assert cut in found.verdict.card().splitlines()[0].partition(": ok")[0]
+    assert found.verdict.finding.startswith(f"The search was {cut}. ")
+    assert cut in found.content()["method"]
+    assert found.content()["stopped"] == "after 0.01 s"
+    assert "cut" not in str(replace(found, stopped="").verdict.card())
+
+
 def test_nothing_to_try_is_refused() -> None:
-    for options in ({"starts": 0}, {"processes": 0}, {"seconds": 0.0}, {"seconds": float("nan")}):
+    for options in ({"starts": 0}, {"processes": 0}, {"search_seconds": 0.0}, {"search_seconds": float("nan")}):
         with pytest.raises(ProblemError, match="no start, process or time"):
             design(program(LIFT), **options)
 
@@ -247,7 +259,7 @@ def test_ipopt_by_hand_finds_no_better_motion_from_the_same_start() -> None:
 
 def test_a_design_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
     motion = solve(excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0), starts=1,
-                   seconds=2.0)
+                   search_seconds=2.0)
     motion.save(tmp_path)
     loaded = load(tmp_path)
     assert repr(loaded) == repr(motion)
