@@ -177,7 +177,7 @@ class Excitation(Answer):
             "best_random": {
                 "motions": self.random_motions, "value": number(self.best_random.value), "ratio": number(self.gain),
                 "condition_numbers": self.best_random.condition_numbers, "excited": self.best_random.excited},
-            "stopped": self.stopped or None,
+            "stopped": self.stopped,
             "focus": list(problem.parameters.focus_names), "priors": problem.parameters.bayesian,
             "seed": self.seed, "starts": self.starts, "rate": problem.rate, "duration": basis.duration,
             "samples": problem.samples, "resting": problem.resting,
