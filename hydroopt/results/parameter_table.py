@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 
 CATEGORIES = {"combination": "only in combination with others", "not excited": "not excited by the motion",
-              "none": "without effect on the data", "fixed": "fixed"}
+              "none": "without effect on the data", "fixed": "fixed",
+              "stated": "from a constraint or prior that was added"}
 """What it means where a parameter has no value of its own."""
 
 
@@ -41,7 +42,7 @@ class ParameterRow:
         value: the estimate, `std` its standard deviation and `ci95` its 95 % interval; None where the parameter is not
             identifiable.
         bound: name of the bound or constraint that holds it.
-        identifiability: ``full``, ``combination``, ``not excited``, ``none`` or ``fixed``.
+        identifiability: ``full``, ``combination``, ``not excited``, ``none``, ``stated`` or ``fixed``.
     """
 
     name: str

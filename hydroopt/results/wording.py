@@ -124,6 +124,7 @@ class Kind(StrEnum):
     FREED_FAULT = "freed fault"
     SPLIT_HALF = "halves of a log differ"
     DIFFERENT_LOGS = "logs differ"
+    STATEMENT_CONTRADICTED = "statement contradicted"
     BODIES_CONTRADICTED = "prior of bodies contradicted"
     PRIORS_CONTRADICTED = "priors contradicted"
     NO_CONFIDENCE_STATED = "no confidence stated"
@@ -226,8 +227,8 @@ OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE
 CONTRADICTIONS = OF_LOGS | {
     Kind.SHORT_STRETCHES, Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
     Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LATE_POSITIONS, Kind.LACK_OF_FIT,
-    Kind.FASTER_THAN_SMOOTHING, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO,
-    Kind.UNEXPLAINED_ACTUATOR,
+    Kind.FASTER_THAN_SMOOTHING, Kind.STATEMENT_CONTRADICTED, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
+    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.COMMANDS_LATE, Kind.ERRORS_FAR_LARGER,
     Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
@@ -417,6 +418,10 @@ WORDS: dict[Kind, Words] = {
         "The readings contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
         "Check these numbers, or widen the sigmas of all of their kind: what readings do not determine stays as "
         "uncertain as it is."),
+    Kind.STATEMENT_CONTRADICTED: Words(
+        "'{subject}' ({relation} {stated:.6g} {unit}) contradicts machine file and logs: without it, the value is "
+        "{value:.6g} ± {std:.2g} {unit}, {z:.1f} standard deviations away.",
+        "Correct the statement, or widen the sigmas of these parameters in the machine file."),
     Kind.BODIES_CONTRADICTED: Words(
         "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "
         "parameters together would agree ({probability}, corrected for {tests} tests).",

@@ -84,5 +84,9 @@ def _note(estimate: Identification, span: slice, confidence: Array, source: str)
     identified = [name for name, std in zip(names, estimate.std[span], strict=True) if np.isfinite(std)]
     missing = ", ".join(name for name in names if name not in identified)
     origin = f"{source}; not identified: {missing}" if missing else source
+    first = estimate.problem.parameters.index(names[0])
+    if any(estimate.category(first + k) == "stated" for k in range(len(names))):
+        stated = (one.name for one in estimate.problem.own_statements if np.any(one.row[span]) and not one.at_least)
+        origin = f"from the constraint or prior {', '.join(repr(name) for name in dict.fromkeys(stated))}; {origin}"
     return Note(sigma=float(np.max(known)) if known.size else None,
                 source=origin if identified else "nominal, not identified")

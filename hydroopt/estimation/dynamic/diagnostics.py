@@ -12,6 +12,7 @@ from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
+from hydroopt.estimation.inference.prior_conflict import CONFLICT
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
 from hydroopt.parameters.dynamic import owners_with_confidence
@@ -34,9 +35,6 @@ SEVERAL, SHORT = 5, 5.0
 across."""
 NOT_EXACT = 0.01
 """Part of an actuator's force by which the standard deviation of a position may change it."""
-CONFLICT = 1e-3
-"""p-value of agreement of data and priors below which the answer is suspect."""
-
 EXACT = 1e-4
 """RMS residual as a part of the RMS force that no sensor reaches: pressures are read to about 1e-3."""
 _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity",
@@ -183,6 +181,12 @@ def _prior_conflict(found: Identification) -> Iterator[Diagnostic]:
     """Bodies, and groups of them, whose nominal values the data contradict."""
     if not found.uses_priors:
         return
+    for one in found.refuted_statements:
+        unit = found.problem.parameters.units[int(np.argmax(np.abs(one.statement.row)))]
+        yield Diagnostic(Kind.STATEMENT_CONTRADICTED, (one.statement.name,), {
+            "stated": one.statement.value, "unit": unit,
+            "relation": ">=" if one.statement.at_least else "=", "value": one.value, "std": one.std, "z": one.z,
+            "p_value": one.p_value})
     test, worst = found.prior_test, found.prior_test.worst
     if worst is not None and worst.p_value < CONFLICT:
         groups = body_groups(found.problem.parameters, found.problem.model.machine)

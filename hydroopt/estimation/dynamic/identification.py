@@ -26,7 +26,7 @@ from hydroopt.estimation.inference.identifiability import (
 )
 from hydroopt.estimation.inference.least_squares import RidgeStrength
 from hydroopt.estimation.inference.posterior import Posterior
-from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
+from hydroopt.estimation.inference.prior_conflict import PriorTest, Refuted, prior_test
 from hydroopt.estimation.inference.priors import with_priors
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters.dynamic import bodies, carried, owners_with_confidence
@@ -84,6 +84,7 @@ class Identification:
         friction_choice: how its friction terms were chosen, if they were.
         tolerance, ridge: of a method without priors, as `identify` took them.
         ridge_strength: λ of ridge regression, for that method.
+        refuted_statements: constraints, priors and fixed values of the user that machine file and data contradict.
     """
 
     problem: IdentificationProblem
@@ -108,13 +109,14 @@ class Identification:
     tolerance: float = RANK_TOLERANCE
     ridge: float | None = None
     ridge_strength: RidgeStrength | None = None
+    refuted_statements: tuple[Refuted, ...] = ()
 
     @cached_property
     def prior_test(self) -> PriorTest:
         """Whether the data agree with the priors of the machine file, as a whole and by body."""
         weighted, parameters = self.weighted_residuals, self.problem.parameters
         groups = body_groups(parameters, self.problem.model.machine)
-        return prior_test(weighted.R, weighted.r, self.problem.prior_rows, parameters.scale, parameters.nominal, {
+        return prior_test(weighted.R, weighted.r, self.problem.file_prior_rows, parameters.scale, parameters.nominal, {
             name: np.concatenate([np.arange(len(parameters))[parameters.bodies[owner]] for owner in owners])
             for name, owners in groups.items()})
 
@@ -208,11 +210,13 @@ class Identification:
         return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
 
     def category(self, k: int) -> str:
-        """Of parameter k: ``full``, ``combination``, ``none``, ``not excited`` where only this motion prevents more, or
-        ``fixed``.
+        """Of parameter k: ``full``, ``combination``, ``none``, ``not excited`` where only this motion prevents more,
+        ``stated`` where a constraint or prior that was added gives the value, or ``fixed``.
         """
         if self.problem.parameters.names[k] in self.problem.fixed:
             return "fixed"
+        if self.identifiability.category[k] == NONE and np.isfinite(self.value[k]):
+            return "stated"
         found, possible = self.identifiability.category[k], self.structural.category[k]
         less = (possible, found) in ((FULL, COMBINATION), (FULL, NONE), (COMBINATION, NONE))
         return "not excited" if less else found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal, get_args
@@ -23,6 +24,7 @@ from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
+from hydroopt.estimation.inference.prior_conflict import Refuted, Statement, refuted
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
@@ -83,9 +85,21 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     with threadpool_limits(limits=1, user_api="blas"):
         try:
             solve = _solve_with_faults if problem.freed else _solve
-            return solve(problem, method, tolerance, ridge, intervals, seed)
+            found = solve(problem, method, tolerance, ridge, intervals, seed)
+            if problem.own_statements and found.posterior is not None:
+                free = solve(problem.without_statements, method, tolerance, ridge, intervals, seed)
+                found = replace(found, refuted_statements=_refuted(problem.own_statements, free))
+            return found
         except (IdentifiabilityError, LogError, SolverError) as error:
             raise explained(error, contradictions(problem.model, problem.experiments)) from None
+
+
+def _refuted(statements: Sequence[Statement], free: Estimate) -> tuple[Refuted, ...]:
+    """The statements that an answer without them contradicts."""
+    if free.posterior is None:
+        return ()
+    rows = np.array([one.row for one in statements])
+    return refuted(statements, rows @ free.psi, free.posterior.interval(rows)[0])
 
 
 def _solve_with_faults(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None,
@@ -253,10 +267,13 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
     psi = np.array(_nominal_where_unobserved(problem, from_data, psi))
     for name, fixed in problem.fixed.items():  # to the last digit
         psi[problem.parameters.index(name)] = fixed
-    # parameters that the data do not depend on have no estimate, whatever their priors
+    # parameters on which neither data nor an added constraint or prior depends have no estimate, whatever the file says
     rows, _ = problem.prior_rows
-    with_priors = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
-    unobserved = np.array(from_data.category) == identifiability.NONE
+    equalities = [one.row * np.max(np.abs(R), initial=1.0) for one in problem.own_statements if not one.at_least]
+    with_priors = identifiability.analyse(np.vstack([R, rows, *equalities]), problem.parameters.names,
+                                          tolerance=tolerance)
+    stated = np.any(np.vstack([np.zeros((1, p)), *equalities]), axis=0)
+    unobserved = (np.array(from_data.category) == identifiability.NONE) & ~stated
     ambiguous = np.array(with_priors.category) != identifiability.FULL
     value = psi.copy()
     value[ambiguous | unobserved], std[ambiguous | unobserved], ci[ambiguous | unobserved] = np.nan, np.nan, np.nan
@@ -288,8 +305,10 @@ def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Ar
               intervals: Intervals, seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = weighted.problem_at(psi)
     bound = [""] * len(problem.parameters)
-    for condition in reversed(problem.requirements(consistent=True)):  # the first of several is named
-        for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
+    active_ones = [one for one in reversed(problem.requirements(consistent=True)) if one.name in active]
+    added = [one for one in problem.physics if one.kind == "zero"]
+    for condition in (*active_ones, *added):  # what a user added is named before all others, then the first of several
+        for k in np.flatnonzero(np.any(condition.rows, axis=0)):
             bound[k] = condition.name
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model),

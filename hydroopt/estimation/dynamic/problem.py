@@ -22,6 +22,7 @@ from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.listing import counted
+from hydroopt.estimation.inference.prior_conflict import Statement
 from hydroopt.estimation.inference.priors import Prior, linear_prior, prior_squares, stated_priors
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
@@ -340,17 +341,40 @@ class IdentificationProblem(Shown):
         return () if self.data_alone else stated_priors(self.model.machine, self.parameters)
 
     @cached_property
+    def own_statements(self) -> tuple[Statement, ...]:
+        """The linear constraints, priors and fixed values that were added, apart from those of the machine file."""
+        size = {one.name: float(np.max(np.abs(one.rows))) for one in self.physics}
+        priors = [Statement(one.name, one.row / (factor := float(np.max(np.abs(one.row)))), one.value / factor,
+                            one.sigma / factor) for one in self.priors]
+        fixed = [Statement(name, np.eye(len(self.parameters))[self.parameters.index(name)], value)
+                 for name, value in self.fixed.items()]
+        return (*(Statement(one.name, row / size[one.name], value / size[one.name], at_least=one.kind == "nonnegative")
+                  for one in self.physics for row, value in zip(one.rows, one.right, strict=True)), *priors, *fixed)
+
+    @property
+    def without_statements(self) -> IdentificationProblem:
+        """The problem without anything that was added, apart from faults that are estimated."""
+        return replace(self, constraints=(), priors=(), physics=(), fixed={})
+
+    @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
         """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two.
 
         A log-det distance is none of a square; the Gaussian of its mean and covariance stands in for it.
         """
+        rows, right = self.file_prior_rows
+        return (np.vstack([rows, *(one.row / one.sigma for one in self.priors)]),
+                np.concatenate([right, [one.value / one.sigma for one in self.priors]]))
+
+    @cached_property
+    def file_prior_rows(self) -> tuple[Array, Array]:
+        """The same of the machine file's priors alone."""
         parameters = self.parameters
         information, mean = parameters.information.copy(), parameters.nominal.copy()
         for body in self.bodies if self.distance == "log-det" else ():
             mean[body.columns] *= body.spread
             information[body.columns, body.columns] = body.information
-        return prior_squares(information, mean, (*self.stated_priors, *self.priors))
+        return prior_squares(information, mean, self.stated_priors)
 
     @cached_property
     def square_rows(self) -> tuple[Array, Array]:

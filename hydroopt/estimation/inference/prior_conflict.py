@@ -1,20 +1,51 @@
-"""Do data and priors agree? Tests of what the data say of each body against what the machine file says of it."""
+"""Tests of the data against the priors of the machine file, and of both against each statement that a user adds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from hydroopt import tails
 from hydroopt.spatial.inertia import Array
 
 WIDE = 1e3
 """Standard deviation, in scales, of parameters without a prior."""
+CONFLICT = 1e-3
+"""p-value of agreement below which a statement or a prior is contradicted, and the answer is suspect."""
 INFORMED = 1.0
 """Ratio of the prior's variance to that of the data above which a direction is tested."""
+
+
+class Statement(NamedTuple):
+    """A linear sum of parameters that a user states: ``row·ψ = value ± sigma``, or at least `value`.
+
+    Attributes:
+        name: of the constraint, of the prior, or of the parameter that is fixed.
+        row: (p,) factors in SI, the largest of size one.
+        value: of the sum [SI].
+        sigma: one standard deviation; zero for a constraint.
+        at_least: whether the sum may be larger.
+    """
+
+    name: str
+    row: Array
+    value: float
+    sigma: float = 0.0
+    at_least: bool = False
+
+
+class Refuted(NamedTuple):
+    """A statement that machine file and data contradict: they give ``value ± std``, `z` standard deviations away."""
+
+    statement: Statement
+    value: float
+    std: float
+    z: float
+    p_value: float
 
 
 class Conflict(NamedTuple):
@@ -92,3 +123,24 @@ def prior_test(R: Array, r: Array, prior: tuple[Array, Array], scale: Array, nom
                                   float(2 * tails.normal(abs(score) / np.sqrt(information)))))
     return PriorTest(float(tails.chi_square(int(np.sum(tested)), square)) if np.any(tested) else 1.0,
                      int(np.sum(tested)), tuple(sorted(found, key=lambda one: one.p_value)))
+
+
+def refuted(statements: Sequence[Statement], value: Array, std: Array) -> tuple[Refuted, ...]:
+    """The statements with a p-value below `CONFLICT`, the clearest first.
+
+    Args:
+        statements: k of them.
+        value, std: (k,) of their sums by the machine file and the data, without any of the statements.
+
+    >>> scales = Statement("scales", np.array([1.0]), 16.0, sigma=0.5)
+    >>> [found] = refuted([scales], np.array([10.0]), np.array([1.2]))
+    >>> round(found.z, 1)
+    4.6
+    """
+    found = []
+    for statement, here, spread in zip(statements, value.tolist(), std.tolist(), strict=True):
+        z = (statement.value - here) / np.hypot(spread, statement.sigma)
+        p_value = float(ndtr(-z) if statement.at_least else 2 * ndtr(-abs(z)))
+        if p_value < CONFLICT:
+            found.append(Refuted(statement, here, spread, float(abs(z)), p_value))
+    return tuple(sorted(found, key=lambda one: one.p_value))

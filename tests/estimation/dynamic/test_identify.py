@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -25,6 +26,7 @@ from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, random_truth, simulate
+from hydroopt.solving import solve
 
 PERIODIC = Fourier(period=33.28, harmonics=20)
 
@@ -340,3 +342,37 @@ def test_a_link_in_all_weighs_what_its_bodies_were_weighed_to(noisy: Identificat
     assert free["boom"].low < free["boom"].value < free["boom"].high
     assert free["stick"].bodies == ("stick", "stick_cylinder.rod")
     assert np.isnan(free["swing"].value)  # no motion shows the swing's mass
+
+
+@pytest.mark.parametrize("statement", ["lift.m + tilt.m == {} kg", "lift.m + tilt.m = {} +- 20 kg",
+                                       "lift.m + tilt.m >= {} kg", "lift.m = {}"])
+def test_statements_determine_what_no_motion_does_and_are_refuted_by_the_rest(statement: str, tmp_path: Path) -> None:
+    """No motion shows the mass of a boom that turns about a fixed pin: a statement on a sum gives it."""
+    model = Model(load_machine("patu655"))
+    truth = random_truth(model, seed=3)
+    log = simulate(model, random_trajectory(model, duration=20, rate=50, seed=3), truth, seed=3)
+    at = dict(zip(model.parameters.names, truth, strict=True))
+    right = at["lift.m"] + (at["tilt.m"] if "tilt" in statement else 0.0)
+
+    def solved(value: float) -> Estimate:
+        problem = identification_problem(model, [log])
+        text = statement.format(value)
+        if "kg" not in text:
+            return solve(problem.fix("lift.m", value))
+        return solve(problem.with_prior("sum", text) if "+-" in text else problem.subject_to("sum", text))
+
+    found = solved(right)
+    assert not found.refuted_statements
+    if ">=" not in statement:  # a bound determines nothing
+        assert found["lift.m"].value == pytest.approx(at["lift.m"], abs=3 * (found["lift.m"].std or 1.0))
+        assert found.parameters["lift.m"].identifiability in ("stated", "fixed")
+        found.save(tmp_path)
+        written = load_machine(tmp_path / "patu655.toml")
+        numbers = dict(zip(model.parameters.names, Model(written).parameters.nominal, strict=True))
+        total = numbers["lift.m"] + (numbers["tilt.m"] if "tilt" in statement else 0.0)
+        assert total == pytest.approx(right, abs=60 if "+-" in statement else 1e-6 * right)
+        source = written.notes[written.numbers["lift.m"].path].source or ""
+        assert source.startswith(("from the constraint or prior 'sum'", "held at a value chosen by the user"))
+    [named] = [each for each in solved(2.5 * right).diagnostics if each.kind is Kind.STATEMENT_CONTRADICTED]
+    assert named.evidence["z"] > 4
+    assert "standard deviations" in named.text
