@@ -171,5 +171,5 @@ def test_pages_compute_nothing() -> None:
 
 def test_files_are_short_and_finished() -> None:
     texts = {str(file.relative_to(PACKAGE)): file.read_text("utf-8") for file in PACKAGE.rglob("*.py")}
-    assert not {name for name, text in texts.items() if text.count("\n") > 450}
+    assert not {name for name, text in texts.items() if text.count("\n") > 600}
     assert not {name for name, text in texts.items() if re.search(r"\b(TODO|FIXME|XXX|HACK)\b", text)}
