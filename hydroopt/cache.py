@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 import stat
 import tempfile
 import time
@@ -18,12 +19,10 @@ from pathlib import Path
 
 import platformdirs
 
-from hydroopt import files
-
 UNUSED = 90 * 24 * 3600.0
 """For how long [s] nothing has read what is removed once something new is kept."""
 OWN = re.compile(r"[0-9a-f]{32}[-.]")
-"""Beginning of the names of what is kept: ``$HYDROOPT_CACHE`` may hold other files, too."""
+"""Beginning of the names of what is kept, and of scratch folders: ``$HYDROOPT_CACHE`` may hold other files, too."""
 
 
 def folder(part: str = "") -> Path:
@@ -53,19 +52,16 @@ def folder(part: str = "") -> Path:
 def scratch(inside: Path | None = None) -> Iterator[Path]:
     """A new folder for this user alone, in the cache or among the system's temporary files; removed at the end.
 
-    What killed processes left in the cache, and what has long been unused there, is removed first.
+    What has long been unused in the cache is removed first.
 
     Raises:
         PermissionError: others could put something else in its place.
         OSError: there is no folder that can be written.
     """
     if inside is not None:
-        files.clean(inside)
         _remove_unused(inside)
-        with files.scratch(inside, mode=0o700) as made:
-            yield made
-        return
-    with tempfile.TemporaryDirectory(prefix="hydroopt-", ignore_cleanup_errors=True) as temporary:
+    prefix = f"{os.urandom(16).hex()}-"
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=inside, ignore_cleanup_errors=True) as temporary:
         path = Path(os.path.realpath(temporary))
         _refuse_foreign(path)
         yield path
@@ -106,14 +102,13 @@ def keep(name: str, content: bytes) -> None:
 
 
 def _remove_unused(place: Path) -> None:
-    """Remove what is kept directly in a folder and has not been read for `UNUSED`."""
+    """Remove what is kept directly in a folder, or was left by killed processes, and has not been read for `UNUSED`."""
     with os.scandir(place) as entries:
         for entry in entries:
             with suppress(OSError):
-                if OWN.match(entry.name) and entry.is_file(follow_symlinks=False):
-                    state = entry.stat(follow_symlinks=False)
-                    if time.time() - max(state.st_atime, state.st_mtime) > UNUSED:
-                        Path(entry.path).unlink()
+                state = entry.stat(follow_symlinks=False)
+                if OWN.match(entry.name) and time.time() - max(state.st_atime, state.st_mtime) > UNUSED:
+                    shutil.rmtree(entry.path) if stat.S_ISDIR(state.st_mode) else os.unlink(entry.path)
 
 
 def _refuse_foreign(path: Path) -> None:

@@ -55,6 +55,7 @@ QUARANTINE = {
     "jinja2": ("template_cache", "kernels", "codegen", "report"),
     "pyarrow": ("logs",),
     "typer": ("cli",),
+    "filelock": ("files",),
     "rich": ("cli",),
     "plotext": ("guided.drawing",),
     "pandas": ("logs", "results"),

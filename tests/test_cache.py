@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from hydroopt import cache
-from hydroopt.files import UNFINISHED
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
 
@@ -87,18 +86,6 @@ def test_files_of_others_are_not_read(home: Path, monkeypatch: pytest.MonkeyPatc
         cache.read(file)
 
 
-def test_leftovers_of_killed_processes_are_removed(home: Path) -> None:
-    folder = cache.folder()
-    old = folder / f"{UNFINISHED}old"
-    old.mkdir()
-    (old / "cc1.s").touch()
-    with cache.scratch(folder) as living:
-        assert not old.exists()
-        with cache.scratch(folder):
-            assert living.exists()
-    assert not list(folder.iterdir())
-
-
 def test_a_temporary_folder_that_others_can_replace_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with cache.scratch() as made:
@@ -122,11 +109,15 @@ def test_without_a_home_nothing_is_kept_in_the_working_directory(tmp_path: Path,
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_kept_and_long_unused_is_removed_and_nothing_else(home: Path) -> None:
+def test_what_is_kept_or_left_by_killed_processes_and_long_unused_is_removed_and_nothing_else(home: Path) -> None:
     old, young, other = f"{'a' * 32}.function", f"{'b' * 32}.function", "notes.txt"
     for name in (old, young, other):
         cache.keep(name, b"content")
-    for name in (old, other):
+    with cache.scratch(cache.folder()) as left:
+        living = left.name
+    (cache.folder() / living / "sub").mkdir(parents=True)
+    (cache.folder() / "users").mkdir()
+    for name in (old, other, living, "users"):
         os.utime(cache.folder() / name, (0, 0))
     cache.keep(f"{'c' * 32}.function", b"content")
-    assert sorted(os.listdir(cache.folder())) == [young, f"{'c' * 32}.function", other]
+    assert sorted(os.listdir(cache.folder())) == [young, f"{'c' * 32}.function", other, "users"]

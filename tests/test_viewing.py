@@ -37,8 +37,8 @@ def test_a_folder_of_results_is_shown_with_its_verdict(tmp_path: Path) -> None:
     estimate = hydroopt.solve(hydroopt.identification_problem(model, logs[:1], logs[1:]))
     assert "measured" in hydroopt.view(estimate).page
     estimate.save(tmp_path)
-    assert run("view", str(tmp_path)) == str(tmp_path / "view.html")
-    page = (tmp_path / "view.html").read_text("utf-8")
+    assert run("view", str(tmp_path), "-o", str(tmp_path / "page")) == str(tmp_path / "page/view.html")
+    page = (tmp_path / "page/view.html").read_text("utf-8")
     assert 'aria-label="verdict"' in page
     assert "lift_cylinder.f_coulomb" in page
     assert "uncertainty of masses" in page

@@ -53,10 +53,12 @@ class Command(limits.Command):
         output = ctx.params.get("output")
         if output is None:
             return super().invoke(ctx)
+        from hydroopt.cli.options import refuse_inputs
         from hydroopt.files import claimed, temporary_files
 
         with claimed(output) as claim:
-            temporary_files(output)
+            refuse_inputs(self, ctx.params)
+            temporary_files(Path(output))
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt:

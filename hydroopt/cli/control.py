@@ -71,7 +71,7 @@ def control(
     from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
     from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
-    from hydroopt.files import refuse_directory
+    from hydroopt.files import refuse_places
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
     from hydroopt.model.model import Model
@@ -89,7 +89,7 @@ def control(
                            remedy="give a number from 1.05 to 4, such as 1.3")
     if not 0 < gain <= 1000:
         raise ProblemError(f"gains cannot be multiplied by {gain:g}", where="--gain", remedy="give a number such as 1")
-    refuse_directory(output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
+    refuse_places(output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     model = Model(described)
     plant = Plant(model)

@@ -99,7 +99,7 @@ def excite(
     from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import at_pace, excitation_problem
     from hydroopt.excitation.motion.known import identified
-    from hydroopt.files import refuse_directory
+    from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
     from hydroopt.report import excitation as report
     from hydroopt.report import operator_sheet
@@ -113,7 +113,7 @@ def excite(
                      "leave it out, or --pieces")
     if not log:
         refuse_given({"--map": map_file}, "there is no log that it could describe", "leave it out, or give --log")
-    refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
+    refuse_places(output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
                               "trajectory.parquet", "approach.csv", "approach.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis = _basis(duration, pieces, period, harmonics, blend, described.bandwidth)

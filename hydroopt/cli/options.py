@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from inspect import unwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -153,6 +155,31 @@ def reserves_of(machine: Machine, stated: Sequence[str]) -> Reserves:
         raise ProblemError("the machine file states no footprint over whose edges it could tip", where="--reserve",
                            remedy="state 'footprint', or leave it out")
     return Reserves.stated(stated)
+
+
+def refuse_inputs(command: Any, given: Mapping[str, object]) -> None:
+    """Refuse an output directory that holds a file or a folder which the command reads, at any depth.
+
+    Args:
+        command: whose function states which of its parameters are paths.
+        given: their values by name.
+
+    Raises:
+        ProblemError: the directory holds one of them.
+    """
+    output, kinds = os.path.realpath(str(given["output"])), get_type_hints(unwrap(command.callback))
+    for parameter in command.params:
+        value = given.get(parameter.name)
+        if parameter.name == "output" or value is None:
+            continue
+        folders = "Path" in str(kinds.get(parameter.name)) or "DIR" in (parameter.metavar or "")
+        for text in map(str, value if isinstance(value, list | tuple) else [value]):
+            for part in (text, text.rpartition(":")[2]):  # MASS:LOG
+                if os.path.isfile(part) or (folders and is_directory(part) and part not in bundled_files()):
+                    path = os.path.realpath(part)
+                    if os.path.commonpath((output, path)) == output:
+                        raise ProblemError(f"this directory holds '{part}', which the command reads",
+                                           where=str(given["output"]), remedy="choose another directory with -o")
 
 
 def refuse_given(options: Mapping[str, object], why: str, remedy: str) -> None:

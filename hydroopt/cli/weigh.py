@@ -76,7 +76,6 @@ def weigh(
 
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
-    from hydroopt.files import write_files
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
@@ -118,10 +117,11 @@ def weigh(
                                needed=None if needed is None else size(needed, "kg", "--needed"))
         found = continued(found, output)
         say("writing the report", (steps - 1) / steps)
-        files = _c_of(found, single=float32, measured=sizes, directory=output / "c") if code else {}
-        found.save(output, pages={"report.html": render(found)}, wall_s=time.perf_counter() - began)
-        if files:
-            write_files(output / "c", files)
+        pages: dict[str, str | bytes | None] = {"report.html": render(found)}
+        if code:
+            made_of = _c_of(found, single=float32, measured=sizes, directory=output / "c")
+            pages |= {f"c/{name}": text for name, text in made_of.items()}
+        found.save(output, pages=pages, wall_s=time.perf_counter() - began)
     print_answer(found, output, quiet=quiet, as_json=as_json)
 
 

@@ -23,6 +23,7 @@ from hydroopt.codegen.symbols import Field, Routine, Struct
 from hydroopt.collector import rarely_collected
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
+from hydroopt.input_file import JSON_LIMIT, read_bytes
 from hydroopt.kernels import c_writer
 from hydroopt.kernels.c_writer import Naming, literal, statements
 from hydroopt.kernels.expression_graph import Program, program
@@ -408,8 +409,8 @@ def _numbers(values: Array, *, single: bool) -> str:
 def _generated(file: Path) -> bool:
     """Whether a file bears the mark of what hydroopt generates."""
     try:
-        return MARK in file.read_text("utf-8", errors="replace")[:2000]
-    except OSError:
+        return MARK.encode() in read_bytes(file, ProblemError, most=JSON_LIMIT)[:2000]
+    except ProblemError:
         return False
 
 

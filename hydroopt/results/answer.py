@@ -161,6 +161,11 @@ class Answer(Drawn, ABC):
         """Files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
         return {}
 
+    def text_of(self, name: str) -> str | None:
+        """The content of one of `files` that is a text; None where there is none of this name."""
+        text = self.files().get(name)
+        return text if isinstance(text, str) else None
+
     def __getitem__(self, name: str) -> ParameterRow:
         """A parameter: value, standard deviation, interval, unit and identifiability, in SI.
 
@@ -317,17 +322,21 @@ class SavedAnswer(Answer):
 
     @property
     def machine_file(self) -> Path | None:
-        """The calibrated machine beside it; None where none was written."""
-        file = self.directory / f"{self.machine_name}.toml"
-        return file if file.is_file() else None
+        """The calibrated machine beside it; None where none was written.
+
+        Raises:
+            ProblemError: it is not as it was saved.
+        """
+        name = f"{self.machine_name}.toml"
+        return None if self.files().get(name) is None else self.directory / name
 
     def details(self) -> Mapping[str, Any]:
         """What the JSON file says beyond what all answers say."""
         return {key: value for key, value in self.saved.items() if key not in json_file.COMMON}
 
-    def files(self) -> Mapping[str, str]:
-        """The text files beside the JSON file."""
-        return json_file.text_files(self.directory, self.saved)
+    def files(self) -> Mapping[str, str | bytes]:
+        """The files beside the JSON file."""
+        return json_file.Beside(self.directory, self.saved)
 
 
 def load(directory: str | Path) -> SavedAnswer:

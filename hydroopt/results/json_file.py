@@ -10,12 +10,12 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
 from hashlib import sha256
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.files import claimed, encoded, finish, write_files
-from hydroopt.input_file import read_json, read_text
+from hydroopt.files import claimed, encoded, lies_within, write_files
+from hydroopt.input_file import read_bytes, read_json
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Verdict
 from hydroopt.versions import versions
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 TABLE_LIMIT = 256 * 1000**2
 """Largest file beside the JSON file that is read [bytes]."""
+TEXTS = (".csv", ".txt", ".toml", ".html")
+"""Endings of files of text."""
 SCHEMA = 2
 """Version of the JSON files; it changes when a key changes its meaning or goes."""
 
@@ -118,44 +120,68 @@ def write_failure(directory: str | Path, job: Job, machine: MachineId, method: s
     write(directory, job, content, {})
 
 
-def text_files(directory: Path, content: Mapping[str, Any]) -> dict[str, str]:
-    """The files that stand beside an answer's JSON file of this content."""
-    names = [name for name in _listed(content) if name.endswith((".csv", ".txt", ".toml", ".html"))]
-    return {name: read_text(directory / name, ProblemError, noun="file of the answer", most=TABLE_LIMIT)
-            for name in names if (directory / name).is_file()}
+class Beside(Mapping[str, str | bytes]):
+    """The files that an answer's JSON file of some content says stand beside it, each read when it is asked for."""
+
+    def __init__(self, directory: Path, content: Mapping[str, Any]) -> None:
+        self.directory, listed = directory, content.get("files")
+        self._digests = {name: digest for name, digest in (listed if isinstance(listed, dict) else {}).items()
+                         if lies_within(directory, name)}
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in self._digests if os.path.lexists(self.directory / name))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __getitem__(self, name: str) -> str | bytes:
+        """The content of a file, a text where its name is that of one.
+
+        Raises:
+            KeyError: no such file is listed, or it is gone.
+            ProblemError: it is a symbolic link, cannot be read, or is not as it was saved.
+        """
+        file, digest = self.directory / name, self._digests[name]
+        if not os.path.lexists(file):
+            raise KeyError(name)
+        _refuse_link(file)
+        data = read_bytes(file, ProblemError, most=TABLE_LIMIT, noun="file of an answer")
+        if sha256(data).hexdigest() != digest:
+            raise ProblemError("this file of an answer is damaged, or was changed after it was saved", where=str(file),
+                               remedy="run the command again, or name this file instead of the folder")
+        return data.decode("utf-8", "backslashreplace") if name.endswith(TEXTS) else data
+
+
+def _refuse_link(file: Path) -> None:
+    if os.path.islink(file):
+        raise ProblemError("this is a symbolic link", where=str(file), remedy="put the file itself in its place")
 
 
 def _left_by_answers(directory: Path) -> Iterator[str]:
     """Names of the files that earlier answers left in a directory and that are unchanged since."""
     for json_name in dict.fromkeys(FILES.values()):
         try:
-            content = json.loads((directory / json_name).read_bytes())
-        except (OSError, ValueError, RecursionError):
+            content = read_json(directory / json_name, ProblemError)
+        except ProblemError:
             continue
-        if isinstance(content, dict) and {"schema", "job"} <= content.keys():
+        if {"schema", "job"} <= content.keys():
             yield json_name
-            for name, digest in _listed(content).items():
-                with suppress(OSError, ValueError):
-                    if sha256((directory / name).read_bytes()).hexdigest() == digest:
-                        yield name
-
-
-def _listed(content: Mapping[str, Any]) -> dict[str, str]:
-    """Digests of the files that a JSON file says stand beside it, by name; what points elsewhere is left out."""
-    files = content.get("files")
-    return {name: digest for name, digest in (files if isinstance(files, dict) else {}).items()
-            if not PurePath(name).is_absolute() and ".." not in PurePath(name).parts}
+            beside = Beside(directory, content)
+            for name in beside:
+                with suppress(ProblemError):
+                    beside[name]
+                    yield name
 
 
 def find(directory: Path) -> Path:
     """The JSON file of the answer in a directory.
 
     Raises:
-        ProblemError: there is none.
+        ProblemError: there is none, or it is a symbolic link.
     """
-    finish(directory)
     for name in dict.fromkeys(FILES.values()):
-        if os.path.isfile(directory / name):
+        if os.path.lexists(directory / name):
+            _refuse_link(directory / name)
             return directory / name
     raise ProblemError("this folder holds no estimate", where=str(directory),
                        remedy="name the folder that a hydroopt command wrote")

@@ -10,6 +10,7 @@ from typing import Any
 
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
+from hydroopt.input_file import read_json
 from hydroopt.study.study import Outcome, Study, Value
 
 IDENTITY = "study.json"
@@ -33,11 +34,11 @@ class Directory:
         found: dict[int, Outcome] = {}
         for index, cell in enumerate(self.study.cells):
             try:
-                content = json.loads((self.path / f"cells/{index}.json").read_text("utf-8"))
+                content = read_json(self.path / f"cells/{index}.json", ProblemError)
                 kept = {key: content[key] for key in ("result", "error") if key in content}
                 if content["cell"] == cell and len(kept) == 1 and isinstance(kept.get("result", {}), dict):
                     found[index] = kept
-            except (OSError, ValueError, TypeError, KeyError):
+            except (ProblemError, TypeError, KeyError):
                 continue
         return found
 
@@ -69,12 +70,10 @@ def refuse(directory: Path, study: Study) -> None:
                                remedy=remedy)
         return
     try:
-        there = json.loads((directory / IDENTITY).read_text("utf-8"))
-    except (OSError, ValueError):
-        there = None
-    if not isinstance(there, dict):
+        there = read_json(directory / IDENTITY, ProblemError)
+    except ProblemError:
         raise ProblemError("the file cannot be read, so that the study of these cells is unknown",
-                           where=str(directory / IDENTITY), remedy=remedy)
+                           where=str(directory / IDENTITY), remedy=remedy) from None
     different = _difference(there, study.identity)
     if different:
         raise ProblemError(f"this directory holds another study: {different}", where=where,

@@ -35,7 +35,7 @@ from studies.show import OUT, table
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 CLOCKS = (("events", False), ("events", True), ("time", False))
-FIGURES = ("kills", "nothing", "old", "new", "mixed", "tracebacks", "wrong exits", "orphans", "left over", "hangs")
+FIGURES = ("kills", "nothing", "old", "new", "refused", "mixed", "tracebacks", "wrong exits", "orphans", "left over", "hangs")
 COUNTED = ("mixed", "tracebacks", "wrong exits", "orphans", "left over", "hangs")
 """Figures that must be 0."""
 
@@ -93,9 +93,7 @@ class Kills:
         kind = (cells_of(out, new) if name == "study"
                 else state(out, JOBS[name], self.content[name, "old"] if there else {}, new))
         found[kind] = 1
-        # each part of a cache is cleaned by itself
-        parts = [each for each in cache.iterdir() if each.is_dir()] if cache.exists() else []
-        found["left over"] = left_over(out) + sum(map(left_over, [*parts, cache]))
+        found["left over"] = left_over(out)
         found["tracebacks"] = "Traceback" in ended.said and moment.number == signal.SIGINT
         found["wrong exits"] = wrong(ended, moment.number)
         found["hangs"] = ended.seconds > LONGEST

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import hydroopt as ho
 from hydroopt.__main__ import main
 from hydroopt.errors import HydrooptError
-from hydroopt.files import claimed, finish
+from hydroopt.files import claimed
 from studies.kills.jobs import Job
 
 MARK = "HYDROOPT_KILLS"
@@ -170,24 +170,34 @@ def whole(folder: Path) -> bool:
 
 
 def state(folder: Path, job: Job, old: dict[str, str], new: dict[str, str]) -> str:
-    """What a folder holds: nothing, old, new, or mixed."""
-    if folder.exists():
-        finish(folder)
+    """What a folder holds: nothing, old, new, refused (a part of one of them, which no command reads), or mixed."""
     found = content(folder) if folder.exists() else {}
     if not found:
         return "nothing"
+    if job.saved and not readable(folder):
+        part = found.items() <= old.items() or found.keys() <= new.keys()
+        return "refused" if part else "mixed"
     if job.saved and not whole(folder):
         return "mixed"
     if old and found == old:
         return "old"
-    same = found == new if job.exact else found.keys() == new.keys()
-    return "new" if same else "mixed"
+    if found == new if job.exact else found.keys() == new.keys():
+        return "new"
+    part = found.items() <= old.items() or (found.items() <= new.items() if job.exact else found.keys() <= new.keys())
+    return "refused" if part and not job.saved else "mixed"
+
+
+def readable(folder: Path) -> bool:
+    """Whether a folder is read as an answer."""
+    try:
+        ho.load(folder)
+    except HydrooptError:
+        return False
+    return True
 
 
 def cells_of(folder: Path, complete: dict[str, str]) -> str:
     """What the folder of a study holds: nothing, whole cells of it, everything, or mixed."""
-    if folder.exists():
-        finish(folder)
     found = content(folder) if folder.exists() else {}
     if any(complete.get(name) != digest for name, digest in found.items()):
         return "mixed"

@@ -219,9 +219,9 @@ def test_cells_that_cannot_be_read_are_not_finished(tmp_path: Path) -> None:
     for k, text in {0: "", 1: '{"cell"', 2: "[]", 3: json.dumps({"cell": {"seed": 1}, "result": {}}),
                     4: json.dumps({"cell": study.cells[4], "result": 3})}.items():
         (tmp_path / f"cells/{k}.json").write_text(text)
-    (tmp_path / ".unfinished-x").mkdir()
+    (tmp_path / ".hydroopt-x").mkdir()
     assert Directory(tmp_path, study).read() == {5: {"result": {"x": 5.1, "nothing": None}}}
-    assert not (tmp_path / ".unfinished-x").exists()
+    assert not (tmp_path / ".hydroopt-x").exists()
 
 
 @pytest.mark.parametrize(("other", "what"), [

@@ -173,7 +173,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
         raise ProblemError("the estimate is of another machine description", where=str(folder),
                            remedy="give the machine file (and --set) that it was identified with, or identify again "
                                   "without --friction, or give the logs")
-    text = estimate.files().get(INFORMATION)
+    text = estimate.text_of(INFORMATION)
     if text is None:
         raise ProblemError(f"there is no {INFORMATION} beside the estimate", where=str(folder),
                            remedy="identify again with this version, or give the logs")

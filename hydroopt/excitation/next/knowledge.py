@@ -135,15 +135,15 @@ class Knowledge:
         """Places (k,) of the numbers of a calibration that wrote the machine's own file, and the information (k, k)
         that their confidences in it stand for; None of any other answer."""
         answer = load(folder)
-        text = answer.files().get(f"{answer.machine_id.name}.toml")
+        text = answer.text_of(f"{answer.machine_id.name}.toml")
         if (answer.job is not Job.CALIBRATION or answer.machine_id.sha256 == model.machine.sha256 or text is None
-                or COVARIANCE not in answer.files() or read_machine(text).sha256 != model.machine.sha256):
+                or answer.text_of(COVARIANCE) is None or read_machine(text).sha256 != model.machine.sha256):
             return None
         return self._shared(answer, folder)
 
     def _shared(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
         """Places (k,) of the numbers that an answer and this share, and the information (k, k) on them by its file."""
-        found, covariance = read_covariance(answer.files()[COVARIANCE], str(folder / COVARIANCE))
+        found, covariance = read_covariance(answer.text_of(COVARIANCE) or "", str(folder / COVARIANCE))
         shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
         taken, places = [k for k, _ in shared], [place for _, place in shared]
         return places, inverse(covariance[np.ix_(taken, taken)])
@@ -161,15 +161,14 @@ class Knowledge:
             raise ProblemError("the answer is of another machine description", where=str(folder),
                                remedy="give the machine that it was computed with: its file, or the folder of the "
                                "calibration that wrote it")
-        if answer.job is Job.IDENTIFICATION and COVARIANCE not in answer.files():
+        if answer.job is Job.IDENTIFICATION and answer.text_of(COVARIANCE) is None:
             triangles = stored_information(model, folder).triangles
             rows = triangles.reshape(-1, triangles.shape[2])[:, :-1]
             return list(range(self.geometry, len(self.names))), rows.T @ rows
         return self._beyond_file(answer, folder)
 
     def _beyond_file(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
-        text = answer.files().get(COVARIANCE)
-        if text is None:
+        if answer.text_of(COVARIANCE) is None:
             raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
                                remedy="calibrate again with this version, by method joint")
         places, within = self._shared(answer, folder)
