@@ -1,9 +1,9 @@
 """Files that appear whole or not at all; one process at a time writes into a folder, and reading changes nothing.
 
-A folder of results is replaced under a lock. All new files are written beside the old ones first, in a hidden folder, so
-that a full disk costs nothing. Then the old files go, the one that vouches for the others first, and the new ones are
-moved into their place, that one last. A process that is killed in between leaves a folder without that file, which every
-reader refuses; the next writer removes what is hidden. Other files in the folder stay.
+A folder of results is replaced under a lock. All new files are written beside the old ones first, in a hidden folder,
+so that a full disk costs nothing. Then the old files go, the one that vouches for the others first, and the new ones
+are moved into their place, that one last. A process that is killed in between leaves a folder without that file, which
+every reader refuses; the next writer removes what is hidden. Other files in the folder stay.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def write_files(directory: str | Path, files: Mapping[str, str | bytes | None]) 
             with delayed():
                 claim.written = True
                 if len(files) > 1:  # old and new files never stand side by side
-                    for name in reversed(files):
+                    for name in reversed([*files]):
                         if lies_within(target, name):
                             (target / name).unlink(missing_ok=True)
                 for name in new:

@@ -35,7 +35,7 @@ class Directory:
         for index, cell in enumerate(self.study.cells):
             try:
                 content = read_json(self.path / f"cells/{index}.json", ProblemError)
-                kept = {key: content[key] for key in ("result", "error") if key in content}
+                kept = {key: value for key, value in content.items() if key in ("result", "error")}
                 if content["cell"] == cell and len(kept) == 1 and isinstance(kept.get("result", {}), dict):
                     found[index] = kept
             except (ProblemError, TypeError, KeyError):

@@ -35,9 +35,9 @@ from studies.show import OUT, table
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 CLOCKS = (("events", False), ("events", True), ("time", False))
-FIGURES = ("kills", "nothing", "old", "new", "refused", "mixed", "tracebacks", "wrong exits", "orphans", "left over", "hangs")
 COUNTED = ("mixed", "tracebacks", "wrong exits", "orphans", "left over", "hangs")
 """Figures that must be 0."""
+FIGURES = ("kills", "nothing", "old", "new", "refused", *COUNTED)
 
 
 def wrong(ended: Ended, number: int) -> bool:

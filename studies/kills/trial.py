@@ -207,11 +207,11 @@ def cells_of(folder: Path, complete: dict[str, str]) -> str:
 
 
 def left_over(folder: Path) -> int:
-    """How many unfinished things are left in a folder after the next run has begun."""
-    if not folder.exists():
-        return 0
-    with claimed(folder):
-        return sum(1 for _ in folder.rglob(".*"))
+    """How many unfinished things are left in a folder after the next run."""
+    if folder.exists():
+        with claimed(folder):
+            pass
+    return sum(1 for _ in folder.rglob(".*"))
 
 
 def fresh_copy(source: Path | None, target: Path) -> None:
