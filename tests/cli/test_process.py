@@ -111,7 +111,7 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 @pytest.mark.parametrize("arguments", [
     ["show", "kr300"], ["simulate", "kr300", "-o", "out"], ["plan-poses", "cat215b", "-n", "4", "-o", "out"],
-    ["identify", "kr300", "out/log.csv", "-o", "out"], ["codegen", "kr300", "-o", "out"]], ids=lambda each: each[0])
+    ["identify", "kr300", "out/log.csv", "-o", "answer"], ["codegen", "kr300", "-o", "out"]], ids=lambda each: each[0])
 def test_a_user_without_home_and_password_entry_who_can_write_to_one_folder_only(place: Path, arguments: list[str],
                                                                                 ) -> None:
     done = subprocess.run(
