@@ -20,6 +20,7 @@ from hydroopt.kernels import c_writer, native
 from hydroopt.kernels import expression_graph as straight
 from hydroopt.kernels.compiler import compiler, notice, reason
 from hydroopt.kernels.expression_graph import Node, Program, Ref
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, routine
 from hydroopt.spatial.inertia import Array
 
 
@@ -116,16 +117,14 @@ class Integrator:
         try:
             library = native.library(self.function, found, partial(source, parameters=len(self._parameters)),
                                      ("integrator.py", "integrator.c"), str(len(self._parameters)))
+            run = routine(library, "along", ADDRESS, COUNT, *[ADDRESS] * 5, NUMBER, NUMBER, ADDRESS, ADDRESS,
+                          result=COUNT)
         except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
             notice(f"the integration of '{self.function.name()}' cannot be compiled ({reason(error)})")
             return None
         self._constants = np.zeros(library.constant_count())
         library.constants(*(ctypes.c_void_p(part.ctypes.data) for part in (*self._parameters, self._constants)))
         self._fixed = (self._constants.ctypes.data, self._scale.ctypes.data, self.tolerance, self.tolerance / 100)
-        run = library.along
-        run.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 5, ctypes.c_double, ctypes.c_double,
-                        ctypes.c_void_p, ctypes.c_void_p]
-        run.restype = ctypes.c_long
         compiled = partial(run, ctypes.byref(self._memory))
         self._after = np.zeros(len(self._x))
         self._once = partial(compiled, 1, self._seconds.ctypes.data, self._w.ctypes.data, None, *self._fixed,

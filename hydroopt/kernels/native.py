@@ -22,7 +22,7 @@ from hydroopt.kernels import c_writer
 from hydroopt.kernels import expression_graph as straight
 from hydroopt.kernels.compiler import Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
-from hydroopt.kernels.shared_library import built
+from hydroopt.kernels.shared_library import ADDRESS, COUNT, built, routine
 from hydroopt.spatial.inertia import Array
 
 FEW = 100
@@ -123,9 +123,7 @@ class Kernel:
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function) -> None:
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
-        self._run = library.over
-        self._run.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * 4, ctypes.c_long, ctypes.c_long]
-        self._run.restype = None
+        self._run = routine(library, "over", COUNT, *[ADDRESS] * 4, COUNT, COUNT)
 
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import struct
 import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache as cached
@@ -13,15 +15,22 @@ from pathlib import Path
 from typing import Any
 
 from hydroopt import cache
-from hydroopt.kernels.compiler import FLAGS, HIGHEST, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import FLAGS, HIGHEST, PROBING, Compiler, compiler, notice, reason
 
 COUNT, NUMBER, ADDRESS = ctypes.c_long, ctypes.c_double, ctypes.c_void_p
 """What routines take: long, double, and pointers."""
 
 
 def routine(library: ctypes.CDLL, name: str, *arguments: Any, result: Any = None) -> Callable[..., Any]:
-    """A routine of a library that takes arguments of these types."""
-    made: Callable[..., Any] = library[name]
+    """A routine of a library that takes arguments of these types.
+
+    Raises:
+        OSError: the library has no such routine.
+    """
+    try:
+        made: Callable[..., Any] = library[name]
+    except AttributeError:
+        raise OSError(f"the library has no routine '{name}'") from None
     made.argtypes, made.restype = arguments, result  # type: ignore[attr-defined]
     return made
 
@@ -71,7 +80,9 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], leve
         key.update(hashlib.sha256(part).digest())
 
     def compiled(place: Path) -> Path:
-        return by.compile(write(), place, level)
+        library = by.compile(write(), place, level)
+        _refuse_broken(library)
+        return library
 
     try:
         return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
@@ -80,6 +91,26 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], leve
                "folder to which you alone can write")
     with cache.scratch() as place:
         return ctypes.CDLL(str(compiled(place)))
+
+
+def _refuse_broken(library: Path) -> None:
+    """Refuse a library that is not whole: it would end this process, now or when its last page is used.
+
+    Linux maps what an ELF file lacks without an error; linkers write its table of sections at the end. All else is
+    found by loading the library in another process.
+
+    Raises:
+        OSError: the library is missing or not whole.
+    """
+    with library.open("rb") as file:
+        head, size = file.read(64), os.fstat(file.fileno()).st_size
+    if head[:5] == b"\x7fELF\x02" and len(head) == 64:
+        start, each, count = *struct.unpack_from("=Q", head, 40), *struct.unpack_from("=HH", head, 58)
+        if not 0 < start <= size - each * count:
+            raise OSError("the compiler wrote a part of the library")
+    load = [sys.executable, "-I", "-S", "-c", "import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)]
+    if subprocess.run(load, capture_output=True, timeout=PROBING, check=False).returncode:
+        raise OSError("the compiler wrote what cannot be loaded")
 
 
 def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:

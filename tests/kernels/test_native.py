@@ -314,6 +314,24 @@ def test_a_compiler_that_fails_says_why_without_control_characters(folder: Path,
     assert "the kernel 'square' cannot be compiled (out of ?[2Jmemory)" in caplog.text
 
 
+PART = 'cc "$@"; while [ "$1" != -o ]; do shift; done; size=$(wc -c <"$2"); '
+WRONG = {f"{tenth} tenths": f'{PART} truncate -s $((size * {tenth} / 10)) "$2"' for tenth in range(10)} | {
+    "one byte less": f'{PART} truncate -s $((size - 1)) "$2"', "text": f'{PART} echo library >"$2"',
+    "nothing": f'{PART} rm "$2"', "a directory": f'{PART} rm "$2"; mkdir "$2"',
+    "a header, then garbage": f'{PART} head -c 64 "$2" >part; yes | head -c $size >>part; mv part "$2"',
+    "a header, then zeros": f'{PART} truncate -s 64 "$2"; truncate -s $size "$2"',
+    "another library": 'while [ "$1" != -o ]; do shift; done; echo "int x;" | cc -shared -x c - -o "$2"'}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_a_compiler_did_not_write_whole_is_not_loaded(wrong: str, folder: Path, monkeypatch: pytest.MonkeyPatch,
+                                                           caplog: pytest.LogCaptureFixture) -> None:
+    """To load half a library ends the process by SIGBUS, at once or at its first use."""
+    monkeypatch.setenv("CC", script(folder, WRONG[wrong]))
+    assert evaluated() == RIGHT
+    assert "the kernel 'square' cannot be compiled" in caplog.text
+
+
 def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """Values that pass between the pieces, and outputs that each of them writes."""
     x = ca.SX.sym("x", 3)
