@@ -20,7 +20,13 @@ def main() -> None:
     os.environ.setdefault(PLUGINS, "1")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it lets Ctrl-C be ignored
         signal.signal(signal.SIGINT, _end)
-    from hydroopt import interrupt  # noqa: PLC0415
+    from hydroopt import interrupt, memory  # noqa: PLC0415
+
+    if memory.limit() < memory.LEAST:
+        sys.stderr.write(f"hydroopt: memory: this process may use {memory.limit() / 1e6:.0f} MB; raise the limit "
+                         f"(ulimit -v) to {memory.LEAST // 10**6} MB or more.\n")
+        sys.exit(2)
+    memory.few_threads()
     from hydroopt.cli import main as run  # noqa: PLC0415
     from hydroopt.cli.streams import open_streams  # noqa: PLC0415
 

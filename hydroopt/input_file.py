@@ -46,9 +46,12 @@ def read_bytes(path: str | Path, kind: type[HydrooptError], *, most: int, noun: 
     try:
         # without waiting for anybody to write into a pipe
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            state = os.fstat(file.fileno())
+            if not stat.S_ISREG(state.st_mode):
                 raise kind("this is a directory or device, not a file", where=where, remedy=f"name one {noun}")
-            data = file.read(most + 1)
+            data = file.read(min(most, state.st_size) + 1)  # takes memory for all that is asked for
+            if len(data) > state.st_size:  # it grows, or states no size
+                data += file.read(most + 1 - len(data))
     except FileNotFoundError:
         raise kind("there is no such file", where=where, remedy="check the path") from None
     except IsADirectoryError:

@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("collector", "errors", "interrupt", "matplotlib_import", "progress"),
+    ("collector", "errors", "interrupt", "matplotlib_import", "memory", "progress"),
     ("extras", "unit_expressions", "bounded_minimum", "lapack", "spectra", "tails"),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("cache",),

@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from hydroopt import interrupt
+from hydroopt import interrupt, memory
 from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
 from hydroopt.cli.typed import WORDS
@@ -202,6 +202,12 @@ def main() -> None:
         elif isinstance(error, _USAGE_ERROR):
             code = 2
             _explain(error)
+        elif memory.exceeded(error):
+            code = 2
+            most = memory.limit()
+            there = f"the {most / 1e9:.1f} GB of memory that it may use" if most < float("inf") else "there is memory"
+            echo(f"hydroopt: memory: this takes more than {there}; raise the limit (ulimit -v), or give shorter logs.",
+                 err=True)
         else:
             raise
     if code == 130:  # typer's exit code of an interrupt

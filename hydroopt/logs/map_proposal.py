@@ -160,7 +160,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     """
     wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
     parts = {channel.rpartition(".")[0] for channel in wanted}
-    with open_files([str(path)], None, listed=True) as source:
+    with open_files([str(path)], None) as source:
         columns = [column for sheet in source.sheets for column in _columns(sheet, parts)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1

@@ -25,6 +25,7 @@ from hydroopt.kernels import native, shared_library
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, source
 from hydroopt.kernels.shared_library import _kept
+from studies.first_contact import compilers
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")
 
@@ -226,10 +227,10 @@ def test_without_a_compiler_casadi_does_the_work(system: str, remedy: str, folde
 
 
 def script(folder: Path, compiling: str) -> str:
-    """A compiler that introduces itself as any other."""
+    """The file of a compiler that compiles as a line of a shell says."""
     folder.mkdir(parents=True)
     command = folder.parents[1] / "mycc"
-    command.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec cc "$@";; esac\n{compiling}\n')
+    command.write_text(compilers.script(compiling))
     command.chmod(0o755)
     return str(command)
 
@@ -314,20 +315,11 @@ def test_a_compiler_that_fails_says_why_without_control_characters(folder: Path,
     assert "the kernel 'square' cannot be compiled (out of ?[2Jmemory)" in caplog.text
 
 
-PART = 'cc "$@"; while [ "$1" != -o ]; do shift; done; size=$(wc -c <"$2"); '
-WRONG = {f"{tenth} tenths": f'{PART} truncate -s $((size * {tenth} / 10)) "$2"' for tenth in range(10)} | {
-    "one byte less": f'{PART} truncate -s $((size - 1)) "$2"', "text": f'{PART} echo library >"$2"',
-    "nothing": f'{PART} rm "$2"', "a directory": f'{PART} rm "$2"; mkdir "$2"',
-    "a header, then garbage": f'{PART} head -c 64 "$2" >part; yes | head -c $size >>part; mv part "$2"',
-    "a header, then zeros": f'{PART} truncate -s 64 "$2"; truncate -s $size "$2"',
-    "another library": 'while [ "$1" != -o ]; do shift; done; echo "int x;" | cc -shared -x c - -o "$2"'}
-
-
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("wrong", compilers.WRONG)
 def test_what_a_compiler_did_not_write_whole_is_not_loaded(wrong: str, folder: Path, monkeypatch: pytest.MonkeyPatch,
                                                            caplog: pytest.LogCaptureFixture) -> None:
     """To load half a library ends the process by SIGBUS, at once or at its first use."""
-    monkeypatch.setenv("CC", script(folder, WRONG[wrong]))
+    monkeypatch.setenv("CC", script(folder, compilers.WRONG[wrong]))
     assert evaluated() == RIGHT
     assert "the kernel 'square' cannot be compiled" in caplog.text
 

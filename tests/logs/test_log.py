@@ -112,7 +112,7 @@ def test_damaged_files_are_refused_in_one_sentence(csv, case):
 @pytest.mark.parametrize(("name", "pattern"), [
     ("none.csv", "no such file"), (".", "not a file"), ("log.docx", "not a kind"),
     ("log.xlsx", "not a readable spreadsheet"),
-    ("log.parquet", "not a readable Parquet"), ("log.mat", "--map")])
+    ("log.parquet", "not a readable Parquet"), ("log.mat", "not a readable MATLAB")])
 def test_wrong_files(csv, tmp_path, name, pattern):
     if name.startswith("log"):
         csv(text(), name)
@@ -352,14 +352,6 @@ def test_numbers_beyond_any_machine_are_refused_in_every_format(tmp_path, kind, 
 
     with pytest.raises(LogError, match=r"data row 5 is damaged \(5: a\.q beyond 1e\+06 rad\)"):
         read()
-
-
-def test_a_matlab_file_that_takes_too_long_is_refused(tmp_path, monkeypatch):
-    savemat(tmp_path / "log.mat", {"t": np.arange(9.0)[:, None]})
-    monkeypatch.setattr("hydroopt.logs.formats.mat_file.SECONDS", 0.01)
-    with pytest.raises(LogError, match="not read within"):
-        read_log(tmp_path / "log.mat", mapping=LogMap.model_validate(
-            {"columns": {"t": {"variable": "t", "unit": "s"}, "a.q": {"variable": "t", "unit": "rad"}}}))
 
 
 def test_kr300_reads_with_its_map():

@@ -13,8 +13,6 @@ from hydroopt.errors import LogError
 from hydroopt.input_file import is_directory
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.formats.foreign_file import NAMES, ForeignFile
-from hydroopt.logs.formats.log_file import LogFile
-from hydroopt.logs.formats.mat_file import MatFile
 from hydroopt.logs.formats.parquet_file import ParquetFile
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.sheets import Sheet
@@ -33,10 +31,8 @@ class Source:
 
 
 @contextmanager
-def open_files(paths: Sequence[str], layout: LogMap | None, *, listed: bool = False) -> Iterator[Source]:
+def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
     """The sheets of files, open as long as they are read; a directory that is no bag stands for its files.
-
-    Without a map, MATLAB files up to version 7 are only `listed`: they state no units.
 
     Raises:
         LogError: a file is damaged or of an unknown kind, or declares more than can be held.
@@ -56,19 +52,9 @@ def open_files(paths: Sequence[str], layout: LogMap | None, *, listed: bool = Fa
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)
-                sheets.append(Sheet(front, file, _open(kind, data, file, layout, listed=listed)))
+                reader = TextFile if kind == "csv" else ParquetFile
+                sheets.append(Sheet(front, file, reader(data, file, layout)))
         yield Source(tuple(sheets), tuple(digests))
-
-
-def _open(kind: str, data: bytes, where: str, layout: LogMap | None, *, listed: bool) -> LogFile:
-    """A file of `kind` "csv", "parquet" or "mat" from its bytes; `layout` is its map, if it has one.
-
-    Raises:
-        LogError: the file is damaged or not of that kind, or declares more than can be held.
-    """
-    if kind == "mat":
-        return MatFile(data, where, layout, listed=listed)
-    return TextFile(data, where, layout) if kind == "csv" else ParquetFile(data, where, layout)
 
 
 def true_kind(path: str | Path, layout: LogMap | None) -> str | None:
@@ -131,8 +117,8 @@ def _digest(path: str) -> str:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         parts = sorted(entry.path for entry in os.scandir(path) if entry.is_file())
         return hashlib.sha256("".join(map(_digest, parts)).encode()).hexdigest()
-    except OSError as error:
-        raise LogError(f"the file cannot be read ({error.strerror})", where=path,
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise LogError(f"the file cannot be read ({getattr(error, 'strerror', error)})", where=path,
                        remedy="check the path and its permissions") from None
 
 

@@ -1,4 +1,4 @@
-"""Files that a library reads in a process of its own: HDF5, MATLAB 7.3, NPZ, XLSX, TDMS, MDF, ROS bags and MCAP."""
+"""Files that a library reads in a process of its own: HDF5, MATLAB, NPZ, XLSX, TDMS, MDF, ROS bags and MCAP."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.stamps import Stamps
 from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
 
-NAMES = {"hdf5": "HDF5", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet", "tdms": "TDMS", "mdf": "MDF",
-         "bags": "ROS bag or MCAP"}
+NAMES = {"hdf5": "HDF5", "mat": "MATLAB", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet",
+         "tdms": "TDMS", "mdf": "MDF", "bags": "ROS bag or MCAP"}
 LIBRARIES = {"hdf5": "h5py", "mat73": "h5py", "xlsx": "python_calamine", "tdms": "nptdms", "mdf": "asammdf",
              "bags": "rosbags"}
 """The library that reads a kind of file."""
@@ -97,6 +97,9 @@ class ForeignFile:
         if "missing" in said:
             raise LogError(f"the library '{said['missing']}' that reads {NAMES[self.kind]} files is not installed",
                            where=self.where, remedy=install(LIBRARIES[self.kind]))
+        if "exceeded" in said:
+            raise LogError(f"reading takes more than the {said['exceeded'] / 1e9:.1f} GB of memory that it may",
+                           where=self.where, remedy="raise the limit (ulimit -v), split the file or record it again")
         if "unreadable" in said:
             raise unreadable(NAMES[self.kind], self.where, ValueError(said["unreadable"]))
         blobs = [self._process.stdout.read(size) for size in said["sizes"]]

@@ -18,6 +18,7 @@ import numpy as np
 
 def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests about a file of a kind until there are no more."""
+    from hydroopt import memory  # noqa: PLC0415
     from hydroopt.logs.formats.decoders.content import UnreadableError  # noqa: PLC0415
 
     try:
@@ -36,14 +37,14 @@ def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
             if request["stamps"] and sheet.stamps is not None:
                 arrays.append(sheet.stamps())
             _answer(answers, {}, arrays)
-    except ImportError as error:
-        _answer(answers, {"missing": str(error.name or error)}, [])
-    except UnreadableError as error:
-        _answer(answers, {"unreadable": str(error)[:200]}, [])
-    except MemoryError:
-        _answer(answers, {"unreadable": "it declares more than memory can hold"}, [])
     except Exception as error:
-        _answer(answers, {"unreadable": f"it is damaged: {type(error).__name__}"}, [])
+        if memory.exceeded(error):
+            _answer(answers, {"exceeded": memory.limit()}, [])
+        elif isinstance(error, ImportError):
+            _answer(answers, {"missing": str(error.name or error)}, [])
+        else:
+            damage = str(error) if isinstance(error, UnreadableError) else f"it is damaged: {type(error).__name__}"
+            _answer(answers, {"unreadable": damage[:200]}, [])
 
 
 def _answer(answers: BinaryIO, said: dict[str, Any], arrays: list[Any]) -> None:
@@ -61,17 +62,13 @@ def _answer(answers: BinaryIO, said: dict[str, Any], arrays: list[Any]) -> None:
 
 def main() -> None:
     """Serve the file that the arguments name, within limits of memory [bytes] and time [s]."""
-    kind, path, memory, seconds, root = json.loads(sys.argv[1])
+    kind, path, most, seconds, root = json.loads(sys.argv[1])
     sys.path.insert(0, root)
+    from hydroopt import memory  # noqa: PLC0415
+
     answers = sys.stdout.buffer
     sys.stdout = sys.stderr  # what a library prints is no answer
-    try:
-        import resource  # noqa: PLC0415 (there is none on Windows)
-    except ImportError:
-        pass
-    else:
-        for limit, most in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, seconds), (resource.RLIMIT_CORE, 0)):
-            resource.setrlimit(limit, (most, most))
+    memory.restrict(most, seconds)
     serve(kind, Path(path), sys.stdin.buffer, answers)
 
 

@@ -54,14 +54,12 @@ def _part(read: Callable[[], NDArray[Any]], index: int | None = None, axis: int 
     return read().ravel() if index is None else read().take(index, axis)
 
 
-def sheets_of_arrays(arrays: Mapping[str, tuple[tuple[int, ...], str, Callable[[], NDArray[Any]]]], *,
-                     columns_last: bool = True) -> list[Content]:
+def sheets_of_arrays(arrays: Mapping[str, tuple[tuple[int, ...], str, Callable[[], NDArray[Any]]]]) -> list[Content]:
     """Sheets of arrays (shape, unit, reader) by path, those of one folder and length together.
 
     Args:
-        arrays: vectors, or matrices whose columns (rows, if not `columns_last`) become ``name[0]``, ``name[1]``, …;
-            a path has its folders before the last slash.
-        columns_last: whether the samples run along the first axis.
+        arrays: vectors, or matrices whose columns become ``name[0]``, ``name[1]``, …, or whose rows do where these are
+            fewer; a path has its folders before the last slash.
     """
     found: dict[tuple[str, int], list[Column]] = {}
     for path, (shape, unit, read) in arrays.items():
@@ -69,8 +67,8 @@ def sheets_of_arrays(arrays: Mapping[str, tuple[tuple[int, ...], str, Callable[[
         if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             found.setdefault((folder, max(shape)), []).append(Column(name, unit, partial(_part, read)))
         elif len(shape) == 2 and min(shape) <= WIDEST:
-            axis = int(columns_last)
-            for k in range(min(shape[axis], WIDEST)):
+            axis = int(shape[1] <= shape[0])
+            for k in range(shape[axis]):
                 found.setdefault((folder, shape[1 - axis]), []).append(
                     Column(f"{name}[{k}]", unit, partial(_part, read, k, axis)))
     found = {key: columns for key, columns in found.items() if key[1] > 1}

@@ -42,7 +42,7 @@ def contents(path: Path, *, matlab: bool = False) -> list[Content]:
         file.visititems(visit)
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise UnreadableError(str(error) or type(error).__name__) from None
-    return sheets_of_arrays(arrays, columns_last=not matlab) + tables
+    return sheets_of_arrays(arrays) + tables
 
 
 def _values(item: h5py.Dataset, part: str = "") -> NDArray[Any]:
