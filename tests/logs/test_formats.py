@@ -59,8 +59,9 @@ def test_channels_run_along_the_shorter_side_of_a_matrix(tmp_path, kind, across)
             file["log"] = content["log"]
     else:
         {"mat": savemat, "npz": lambda path, content: np.savez(path, **content)}[kind](path, content)
+    units = {"t": "s", **UNITS}
     log = read_log(path, mapping=LogMap.model_validate({"columns": {
-        name: {"variable": "log", "row": k, "unit": unit} for k, (name, unit) in enumerate({"t": "s", **UNITS}.items())}}))
+        name: {"variable": "log", "row": k, "unit": units[name]} for k, name in enumerate(units)}}))
     assert {name: x.tobytes() for name, x in log.channels.items()} == {
         name: x.tobytes() for name, x in CHANNELS.items()}
 
