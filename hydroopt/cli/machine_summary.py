@@ -9,9 +9,6 @@ from hydroopt.results.readable import readable
 
 ROWS = 12
 """Rows of a table, or lines of a list, that are shown; what is left out is counted."""
-WRAPPED = ("channels", "alone", "joint", "actuator")
-"""Columns that may take several lines."""
-
 
 def sensors(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """One row for all channels of a kind with the same accuracy and rate.

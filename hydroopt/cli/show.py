@@ -11,12 +11,10 @@ import typer
 
 from hydroopt.cli import machine_summary as summary
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
-from hydroopt.cli.terminal import echo
+from hydroopt.cli.terminal import echo, print_table
 from hydroopt.errors import visible
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hydroopt.machine.machine import Machine
 
 UNKNOWN = 0.25
@@ -66,7 +64,7 @@ def show(
     for title, rows in _tables(facts, everything=everything).items():
         shown, more = (rows, "") if everything else summary.shortened(rows)
         if shown:
-            console.print(_table(title, [*shown], short=not everything))
+            print_table(title, shown)
         if more:
             console.print(f"  {more}", markup=False)
     for line in _lines(facts, everything=everything):
@@ -147,8 +145,6 @@ def _ratios(linkage: dict[str, Any]) -> str:
 
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
-    from rich.console import Console
-
     from hydroopt.files import write_files
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
@@ -166,8 +162,7 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
     if as_json:
         echo(json.dumps(rows, indent=1))
         return
-    Console().print(_table("Joints on their oil, each moving at a tenth of its greatest speed",
-                           [_mode_row(row) for row in rows]))
+    print_table("Joints on their oil, each moving at a tenth of its greatest speed", [_mode_row(row) for row in rows])
     for row in rows:
         if row["unreachable"]:
             echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
@@ -193,20 +188,3 @@ def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
             "areas [cm²]": f"{facts['head_area_cm2']:.1f} / {facts['rod_area_cm2']:.1f}",
             "length [m]": f"{facts['length_min_m']:.3f} … {facts['length_max_m']:.3f}",
             "lever arm [m]": f"{facts['lever_arm_min_m']:.3f} … {facts['lever_arm_max_m']:.3f}"}
-
-
-def _table(title: str, rows: list[dict[str, Any]], *, short: bool = False) -> Table:
-    from rich import box
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", header_style="bold",
-                  box=box.SIMPLE_HEAD if short else box.HEAVY_HEAD, show_edge=not short)
-    for key in rows[0]:
-        wraps = key in summary.WRAPPED
-        word = max(len(word) for row in rows for word in [key, *str(row[key]).split()]) if short and wraps else None
-        table.add_column(escape(key), no_wrap=short and not wraps, min_width=word,
-                         overflow="ellipsis" if short and not wraps else "fold")
-    for row in rows:
-        table.add_row(*[f"{v:.6g}" if isinstance(v, float) else escape(str(v)) for v in row.values()])
-    return table

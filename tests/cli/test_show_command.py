@@ -39,3 +39,10 @@ def test_all_names_each_parameter_and_channel_and_the_page_counts_them(name: str
         assert f"{len(facts['hydraulic_parameters'])} hydraulic parameters" in page
     assert all(row["joint"] in page for row in facts["joints"])
     assert all(row["cylinder"] in page for row in facts["cylinders"])
+
+
+@pytest.mark.parametrize("width", [30, 60, 80])
+@pytest.mark.parametrize("arguments", [("cat215b",), ("kr300", "--all"), ("cat215b", "--hydraulics")])
+def test_no_terminal_is_too_narrow_for_a_number(arguments: tuple[str, ...], width: int) -> None:
+    wide, narrow = (shown(*arguments, width=each).replace("_", "").split() for each in (400, width))
+    assert {word for word in wide if any(map(str.isdecimal, word))} <= set(narrow)
