@@ -125,7 +125,7 @@ class Sketch(SideGeometry):
             part = member.cylinder
             if part is not None and not math.isnan(rocker):
                 foot = (base if member.linkage else at) + self.barrel(k, heading - angle) * before
-                done = f"{part.name}.bore" in self.answers
+                done = self.measured(f"{part.name}.bore")
                 if member.linkage is None:
                     rod = at + self.point(f"{part.name}.rod_pin") * link
                     outlines[k].append(rod)
@@ -149,7 +149,7 @@ class Sketch(SideGeometry):
         for member, outline in zip(self.members, outlines, strict=True):
             centre = sum(outline) / len(outline)
             around = sorted(outline, key=lambda point, centre=centre: cmath.phase(point - centre))  # type: ignore[misc]
-            yield Part(member.name, f"{member.name}.length" in self.answers, (*around, around[0]))
+            yield Part(member.name, self.measured(f"{member.name}.length"), (*around, around[0]))
         yield from others
 
     def _sections(self, name: str, at: complex, link: complex) -> Iterator[Part]:
@@ -157,11 +157,11 @@ class Sketch(SideGeometry):
         cylinder, end = f"{name}_cylinder", at
         for section in [name, f"{name}_second"][:self.sections]:
             begin, end = end, end + self.number(f"{section}.travel") / 2 * link
-            yield Part(section, f"{section}.travel" in self.answers, (begin, end))
+            yield Part(section, self.measured(f"{section}.travel"), (begin, end))
         pivot = at - self.length(len(self.members) - 1) * link
         foot = pivot + complex(*(self.number(f"{cylinder}.barrel_{way}") for way in ("forward", "up"))) * link
         extended = self.number(f"{name}_stroke.retracted") + self.number(f"{name}.travel") / 2
-        yield Part(cylinder, f"{cylinder}.bore" in self.answers, (foot, foot + extended * link), cylinder=True)
+        yield Part(cylinder, self.measured(f"{cylinder}.bore"), (foot, foot + extended * link), cylinder=True)
 
     def _mid(self, k: int, heading: float) -> tuple[float, float]:
         """Angles of member k and its rocker in the middle; that of the rocker is NaN where something does not close."""

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from hydroopt.model.vertical_plane import Plane
     from hydroopt.spatial.inertia import Array
 
-WIDE, TALL = 860.0, 520.0
-"""Largest width and height of the machine in a drawing [px]."""
+WIDE, NARROW, TALL = 860.0, 290.0, 520.0
+"""Largest width of the machine in a drawing, on a screen and on a phone, and its largest height [px]."""
 LEFT, BELOW, EDGE = 52, 40, 10
 """Room for the numbers of the axes, and around all [px]."""
 LETTER, LINE = 7.5, 13.0
@@ -147,7 +147,7 @@ class Drawing:
         return found + bodies
 
     def lettered(self, scale: float, letter: float = LETTER, line: float = LINE) -> list[Name]:
-        """Names where each covers least, at a scale [px/m] and sizes of letters [px]."""
+        """Names where each covers least, at a scale [px/m] and sizes of letters [px]; none over another."""
         low, high = self.corners
         busy = np.array([a + t * (b - a) for part in self.first.parts for a, b in pairwise(part.corners)
                          for t in np.linspace(0, 1, 25)]) * scale
@@ -158,14 +158,16 @@ class Drawing:
             at = name.at * scale
             best = min(_around(at, half), key=lambda c, h=half, a=at: _cover(  # type: ignore[misc]
                 c, h, busy, boxes, a, (low * scale, high * scale)))
+            if any(np.all(np.abs(other - best) < half + size) for other, size in boxes):
+                continue
             boxes.append((best, half))
             placed.append(name._replace(at=best / scale))
         return placed
 
-    def svg(self, alt: str, *, axes: bool = False, named: bool = True) -> Markup:
-        """An ``<svg>`` element in the colours of its page; `axes` are metres of the drawing's plane."""
+    def svg(self, alt: str, *, axes: bool = False, named: bool = True, wide: float = WIDE) -> Markup:
+        """An ``<svg>`` element in the colours of its page, at most `wide` px; `axes` are metres of its plane."""
         low, high = self.corners
-        scale = float(np.min(np.array([WIDE, TALL]) / (high - low)))
+        scale = float(np.min(np.array([wide, TALL]) / (high - low)))
         width, height = (high - low) * scale
         left, below = (LEFT, BELOW) if axes else (0, 0)
 
@@ -180,8 +182,8 @@ class Drawing:
             (x, y), = px(name.at)
             words.append(f'<text class="{name.kind}" x="{x:.0f}" y="{y + 4:.0f}" text-anchor="middle">'
                          f"{escape(visible(name.text))}</text>")
-        wide, tall = left + width + EDGE, height + below + EDGE
-        return Markup(f'<svg class="drawing" viewBox="0 0 {wide:.0f} {tall:.0f}" width="{wide:.0f}" role="img" '
+        across, tall = left + width + EDGE, height + below + EDGE
+        return Markup(f'<svg class="drawing" viewBox="0 0 {across:.0f} {tall:.0f}" width="{across:.0f}" role="img" '
                       f'aria-label="{escape(visible(alt))}">{"".join(words)}</svg>')
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.report.charts import Curves
-from hydroopt.report.drawing import View, drawn
+from hydroopt.report.drawing import NARROW, WIDE, View, drawn
 from hydroopt.report.numbers import unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView
@@ -69,7 +69,8 @@ def render(scene: SceneGraph, facts: Mapping[str, Any], side: SidePostures, arms
         "machine.html", scene=SceneView(scene), charts={"range": curves(machine, arms, ratios)}, machine=machine,
         diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
         identifiability=facts["identifiability"],
-        side_view=seen.svg(seen.description(machine.name, SIDE), axes=True), ratios=ratios,
+        side_views={kind: seen.svg(seen.description(machine.name, SIDE), axes=True, wide=most)
+                    for kind, most in (("wide", WIDE), ("narrow", NARROW))}, ratios=ratios,
         tables=[(title, [_row(row) for row in facts[key]]) for key, title in TABLES.items() if facts[key]])
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -179,8 +181,31 @@ def test_drawings_fit_and_show_every_part(kind: str) -> None:
             assert f"<title>{member.name}</title>" in html
     assert 'http-equiv="refresh"' in html
     assert 'http-equiv="refresh"' not in page(sketch, finished=True)
-    assert [part.known for part in sketch.parts()] == [True] * len(list(sketch.parts()))
-    assert not any(part.known for part in Sketch(KINDS[kind], {}).parts())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_legend_states_what_is_dashed(kind: str) -> None:
+    untouched, typed = Sketch(KINDS[kind], {}), answered(kind)
+    numbers = Sketch(typed.kind, {each.key: typed.answers[each.key] or each.shown for each in typed.questions})
+    length = next(each for each in typed.answers if each.endswith(".length"))
+    some = Sketch(typed.kind, {**typed.answers, length: "3 m"})
+    for sketch, said in ((untouched, "All parts are typical"), (typed, "All parts are typical"),
+                         (some, "Dashed parts are typical"), (numbers, "All parts were answered")):
+        html = page(sketch)
+        assert said in html
+        assert html.count("stroke-dasharray") == sum(not part.known for part in sketch.parts())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_names_in_the_picture_do_not_overlap_and_lie_within(kind: str) -> None:
+    html = page(answered(kind))
+    left, top, width, height = map(float, re.search(r'viewBox="([^"]+)"', html)[1].split())
+    names = re.findall(r'<text x="([^"]+)" y="([^"]+)" font-size="([^"]+)"[^>]*>([^<]+)<', html)
+    lines = sorted(float(y) for _, y, _, _ in names)
+    size = float(names[0][2])
+    assert all(after - before >= size for before, after in pairwise(lines))
+    assert all(left <= float(x) and float(x) + 0.6 * size * len(name) <= left + width for x, _, _, name in names)
+    assert top + size <= lines[0] <= lines[-1] <= top + height
 
 
 def test_triangles() -> None:
