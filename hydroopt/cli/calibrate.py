@@ -80,11 +80,13 @@ def calibrate(
                                     read_pose_files(validate, mapping=map_file) if validate else None)
         choice = None
         if compliance is not None:
-            if compliance.strip() == "auto":
+            words = [word.strip() for word in compliance.split(",")]
+            chosen = words[0] if len(words) == 1 and words[0] not in described.tree_joints else ""
+            if chosen == "auto":
                 say("choosing compliant joints by held-out poses", 0.01)
                 choice = choose_compliance(described, poses)
-            joints = [] if compliance.strip() == "none" else compliance.split(",")
-            described = compliant(described, poses, choice.joints if choice else [joint.strip() for joint in joints])
+            joints = choice.joints if choice else [] if chosen == "none" else words
+            described = compliant(described, poses, joints)
         problem = calibration_problem(described, poses, held_out, priors=priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "

@@ -117,8 +117,9 @@ def _focused(model: Model, structure: Identifiability, focus: Sequence[str]) -> 
     places: list[int] = []
     for name in focus:
         last = model.machine.links[-1].name  # it carries the payload
-        members = (list(range(len(model.parameters)))[model.parameters.bodies.get(last, slice(0))] if name == "payload"
-               else model.parameters.matching(name))
+        members = model.parameters.matching(name)
+        if name == "payload" and not members:
+            members = list(range(len(model.parameters)))[model.parameters.bodies.get(last, slice(0))]
         if not members:
             raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
                                remedy=f"use payload, friction, a part such as {model.machine.links[-1].name} or a "

@@ -156,8 +156,8 @@ class PostureLimits:
 def held_link(machine: Machine, fixture: str, touch: str) -> str:
     """The link that a fixture holds by a rigid tool, or whose target touches a datum, ``floor.tooth``; else ''."""
     own, target = machine.calibrator, touch.partition(".")[2]
-    if target and target != TIP:
-        return next(each.link for each in machine.targets if each.name == target)
+    if target and not (target == TIP and own):
+        return next(each.link or "" for each in machine.targets if each.name == target)
     return own.parent if own is not None and not own.links and (fixture or target) else ""
 
 

@@ -258,6 +258,14 @@ class Drive(Noun):
     """Inertia of the rotor, on the rotor's side."""
     friction: TorqueFriction = TorqueFriction()
     """Friction, and the offset of the torque reading."""
+    ground: StrictBool = False
+    """Whether it stands for the ground, by which a base on a slope or in motion moves; not measured."""
+
+    @model_validator(mode="after")
+    def _of_the_ground(self) -> Self:
+        if self.ground and self.measured:
+            raise ImpossibleError("the ground's torque or force is not measured", "state measured = false", "measured")
+        return self
 
     @property
     def capacity(self) -> float:

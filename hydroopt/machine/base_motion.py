@@ -27,7 +27,8 @@ def expand(data: dict[str, Any]) -> dict[str, str]:
     stated = data.pop("base_motion")
     links = free_links.chain("base", "base", stated)
     moving = [key for key in free_links.AXES if key in stated]
-    drives = [{"name": f"base_{key}_ground", "joint": f"base_{key}", "measured": False} for key in moving]
+    drives = [{"name": f"base_{key}_ground", "joint": f"base_{key}", "measured": False,
+               "ground": True} for key in moving]
     _on_chassis(data)
     links.append({"name": CHASSIS, "parent": links[-1]["name"], "joint": {"type": "locked"}})
     data["links"] = [*links, *data["links"]]

@@ -12,7 +12,6 @@ from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Actuator, Cylinder, Drive, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.balances import Balance, balance
-from hydroopt.machine.base_motion import CHASSIS
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.file_schema import Parts
@@ -67,8 +66,8 @@ class MachineDescription(Parts):
     @property
     def base_joints(self) -> tuple[str, ...]:
         """Names of the joints of a moving base, which the ground moves."""
-        on = self.ancestry(CHASSIS) if any(link.name == CHASSIS for link in self.links) else ()
-        return tuple(joint for joint in self.joints if joint in on)
+        by_ground = {drive.joint for drive in self.drives if drive.ground}
+        return tuple(joint for joint in self.joints if joint in by_ground)
 
     @cached_property
     def followed(self) -> dict[str, tuple[str, ...]]:

@@ -344,7 +344,7 @@ def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> st
     for start, words in {"greater_than_equal": "at least {ge:g}", "greater_than": "greater than {gt:g}",
                          "less_than_equal": "at most {le:g}", "less_than": "less than {lt:g}", "literal": "{expected}",
                          "int_": "a whole number", "float_": "a number", "string_pattern":
-                         "made of letters, digits and _, a letter first", "string_": "text in quotation marks",
+                         "at most 63 letters, digits and _, a letter first", "string_": "text in quotation marks",
                          "tuple_": "a list in brackets", "model_": "a table of keys"}.items():
         if kind.startswith(start):
             return f"must be {words.format(**context)}"

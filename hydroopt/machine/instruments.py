@@ -8,7 +8,6 @@ from typing import Self
 from pydantic import model_validator
 
 from hydroopt.machine.quantity import Angle, ImpossibleError, Lengths, Name, Noun
-from hydroopt.machine.targets import GROUND
 
 TURNED_UP = math.radians(85.0)
 """Pitch beyond which roll and yaw of an instrument can hardly be distinguished."""
@@ -27,8 +26,8 @@ class Instrument(Noun):
 
     name: Name
     """Name of the instrument."""
-    link: str = GROUND
-    """Link that carries it, or the ground."""
+    link: str | None = None
+    """Link that carries it, or `base`; if not stated, or `ground`, it stands on the ground."""
     position: Lengths | None = None
     """Place (3,) of its frame; without it its pose is unknown, and another one in each set-up that a pose table's
     column ``setup`` names."""

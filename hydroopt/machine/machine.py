@@ -21,8 +21,8 @@ from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.environment import refuse_sideways
 from hydroopt.machine.imus import INCLINATION
 from hydroopt.machine.links import Joint, Note
-from hydroopt.machine.quantity import ImpossibleError, with_likely_units
-from hydroopt.machine.targets import GROUND, TIP
+from hydroopt.machine.quantity import ImpossibleError, Noun, with_likely_units
+from hydroopt.machine.targets import TIP
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.units import same_kind
 
@@ -123,13 +123,15 @@ class Machine(Drawn, MachineDescription):
         kinds = (self.links, extra, self.loops, self.couplings, self.cylinders, self.motors, self.drives,
                  self.gas_cylinders, self.springs, self.imus, self.fixtures, self.distances, self.targets,
                  self.instruments, self.datums, self.stages, self.obstacles, self.total_masses, self.identical)
-        taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {}) | (
-            {TIP: "the calibrator's tip"} if self.calibrator and self.targets else {})
+        tables = {key: f"that of the table [{key}]" for key, value in self if isinstance(value, Noun)}
+        taken = {BASE: "the chassis", "all": "all actuators together, in tables of how well they fit"} | tables | (
+            {TIP: "the calibrator's tip"} if self.calibrator else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
                 raise ImpossibleError(f"the name '{name}' is {taken.get(name, f'used {times} times')}",
-                                      "give each part a name of its own")
+                                      "give the part another one" if name in taken else "give each part a name of "
+                                      "its own; tables such as linkages and base_motion name links, too")
 
     def _tree(self) -> None:
         known = {BASE, *(link.name for link in self.links)}
@@ -271,10 +273,10 @@ class Machine(Drawn, MachineDescription):
         known = (BASE, *(link.name for link in (*self.links, *(self.calibrator.links if self.calibrator else ()))))
         for kind, parts in (("target", self.targets), ("instrument", self.instruments)):
             for part in parts:
-                if part.link not in {*known, GROUND}:
+                if part.link not in {None, *known}:
                     raise ImpossibleError(
                         f"the {kind} '{part.name}' is attached to '{part.link}', which does not exist",
-                        f"use one of {', '.join(known)} or {GROUND}", f"{kind}s[{part.name}].link")
+                        f"use one of {', '.join(known)}, or none for the ground", f"{kind}s[{part.name}].link")
 
     def _channels(self) -> None:
         known = self.channel_units

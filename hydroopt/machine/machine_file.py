@@ -31,6 +31,7 @@ from hydroopt.machine import (
     other_ways,
     parameter_sets,
     prior_checks,
+    targets,
 )
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.bundled_files import bundled_files
@@ -137,6 +138,7 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     validate(data, where)
     in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
     moved = parameter_sets.expand(data, parameter_set, where) | in_linkages
+    targets.expand(data)
     moved |= free_links.expand(data) | base_motion.expand(data)
     try:
         data, notes = without_notes(data)

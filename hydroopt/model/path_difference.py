@@ -76,10 +76,11 @@ def path_difference(first: GivenMachine, second: GivenMachine, angles: Mapping[s
 
 def _places(machine: Machine, angles: Mapping[str, ArrayLike], point: str, seen_from: str) -> Array:
     geometry = Geometry(machine)
-    if point == TIP and machine.calibrator is None:
+    at_tip = point == TIP and machine.calibrator is not None
+    if point == TIP and not at_tip and all(each.name != TIP for each in machine.links):
         raise ProblemError("it has no calibrator, so that it has no tip", where=f"machine '{machine.name}'",
                            remedy="name a link as the point")
-    link = machine.chain[-1].name if point == TIP else point
+    link = machine.chain[-1].name if at_tip else point
     known = (BASE, *(each.name for each in geometry.links))
     for name in (link, seen_from):
         if name not in known:
@@ -88,8 +89,8 @@ def _places(machine: Machine, angles: Mapping[str, ArrayLike], point: str, seen_
     joints = [each.name for each in geometry.links if each.joint.independent]
     q = ca.SX.sym("q", len(joints))
     place = ca.SX(3, 1)
-    if link != seen_from or point == TIP:
-        end = geometry.far_end(link).point(geometry.point(TIP)) if point == TIP else geometry.far_end(link).origin
+    if link != seen_from or at_tip:
+        end = geometry.far_end(link).point(geometry.point(TIP)) if at_tip else geometry.far_end(link).origin
         at = Mechanism(machine).positions(geometry, {name: q[k] for k, name in enumerate(joints)})
         place = geometry.relative_pose(seen_from, link, at).point(end)
     needed = [name for k, name in enumerate(joints) if ca.depends_on(place, q[k])]

@@ -90,10 +90,14 @@ class ParameterSet(Shown):
         return [k for k, kind in enumerate(self.kinds) if kind in kinds]
 
     def matching(self, word: str) -> list[int]:
-        """Positions of what a user's word stands for: a group of kinds (`GROUPS`), a part, or one parameter."""
-        if word in GROUPS:
-            return [k for k, kind in enumerate(self.kinds) if GROUPS[word](kind)]
-        return [k for k, name in enumerate(self.names) if name == word or name.startswith(f"{word}.")]
+        """Positions of what a user's word stands for: one parameter, a part, or else a group of kinds (`GROUPS`)."""
+        own = [k for k, name in enumerate(self.names) if name == word or name.startswith(f"{word}.")]
+        return own or [self.positions[name] for name in self.grouped(*{word} & GROUPS.keys())]
+
+    def grouped(self, *groups: str) -> tuple[str, ...]:
+        """Names of the parameters of any of some groups of kinds (`GROUPS`)."""
+        return tuple(name for name, kind in zip(self.names, self.kinds, strict=True)
+                     if any(GROUPS[group](kind) for group in groups))
 
     def index(self, name: str) -> int:
         """Position of a name.

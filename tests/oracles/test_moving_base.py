@@ -101,8 +101,8 @@ def test_a_log_states_the_slope_it_was_recorded_on(tmp_path):
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("[base_motion]\nheave = { lower = \"-1 m\", upper = \"1 m\" }", "coordinate is unknown"),
-    ("[base_motion]\nroll = \"3 deg\"", "table of limits"),
+    ("[base_motion]\nheave = { lower = \"-1 m\", upper = \"1 m\" }", "base_motion.heave: this key is unknown"),
+    ("[base_motion]\nroll = \"3 deg\"", "base_motion.roll: must be a table of keys"),
     ("[base_motion]\nroll = { lower = \"20 deg\", upper = \"-20 deg\" }", "base_motion.roll.*not below the upper"),
 ])
 def test_contradictions(text, words):

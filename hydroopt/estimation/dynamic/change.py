@@ -185,7 +185,7 @@ def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Pat
     machine = machine_of(machine, "detect_change")
     refuse_level(level)
     model = Model(machine)
-    names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
+    names = usual_names(model.parameters) if parts is None else named_parts(model.parameters, parts)
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = all_prepared(model, (before, after), smoothing, progress, PREPARED)
         problem = two_session_problem(model, names)
@@ -215,13 +215,13 @@ def refuse_level(level: float) -> None:
                            remedy="use one such as 0.05")
 
 
-def usual_parts(parameters: ParameterSet) -> list[str]:
-    """What may change between sessions: friction and offsets, as far as a machine has such parameters.
+def usual_names(parameters: ParameterSet) -> tuple[str, ...]:
+    """Names of what may change between sessions: friction and offsets, as far as a machine has such parameters.
 
     Raises:
         ProblemError: it has neither.
     """
-    found = [group for group in GROUPS if parameters.matching(group)]
+    found = parameters.grouped(*GROUPS)
     if not found:
         raise ProblemError("the machine file states neither friction nor offsets, which could have changed",
                            where="parts", remedy="state them in the machine file, or name other parameters")

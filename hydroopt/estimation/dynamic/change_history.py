@@ -14,7 +14,7 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.change import amount, holm, named_parts, printed, refuse_level, usual_parts
+from hydroopt.estimation.dynamic.change import amount, holm, named_parts, printed, refuse_level, usual_names
 from hydroopt.estimation.dynamic.change_space import ChangeSpace, Shape, SubspaceTest
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, decidable, session_steps
 from hydroopt.estimation.dynamic.session_scan import SessionScan, session_scan
@@ -339,7 +339,7 @@ def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log
         raise ProblemError(f"changes over sessions need at least three, not {len(sessions)}", where="sessions",
                            remedy="give more, or compare two by `detect_change`")
     model = Model(machine)
-    names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
+    names = usual_names(model.parameters) if parts is None else named_parts(model.parameters, parts)
     with threadpool_limits(limits=1, user_api="blas"):
         done = len(sessions) / (len(sessions) + 1)
         known = all_prepared(model, sessions, smoothing, progress, done)

@@ -12,7 +12,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.dynamic.change import named_parts
 from hydroopt.estimation.dynamic.comparison import (
     TwoSessionOptimum,
     TwoSessionProblem,
@@ -199,7 +198,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
     model = Model(machine)
     carrier = machine.links[-1].name if link is None else link
     columns = carried_load(model, carrier)
-    names = named_parts(model.parameters, ["friction"]) if friction_changes else ()
+    names = model.parameters.grouped("friction") if friction_changes else ()
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = all_prepared(model, (unloaded, loaded), smoothing, progress, PREPARED)
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.balances)}:

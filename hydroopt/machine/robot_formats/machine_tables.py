@@ -161,6 +161,9 @@ class _Conversion:
         joint, (carrier, axis), own = self.tree.joints[name], self.axes[name], self.names[name]
         made: list[dict[str, Any]] = []
         link: dict[str, Any] = {"name": own, "parent": self.names[carrier]}
+        if carrier not in self.starts:
+            raise MachineError(f"'{own}' comes before the link that carries it", remedy="list every parent first",
+                               where=f"{self.sidecar.file}: links[{own}]")
         start = self.starts[carrier]
         if own in self.sidecar.pins:
             start = self.ends[carrier].near_end() @ shift(self.sidecar.pins[own])

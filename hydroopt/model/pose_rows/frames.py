@@ -9,7 +9,7 @@ import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE
-from hydroopt.machine.targets import GROUND, TIP
+from hydroopt.machine.targets import TIP
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 from hydroopt.spatial.rotation_vectors import rotation_of
 
@@ -46,14 +46,14 @@ class Frames(NamedTuple):
     joints: Mapping[str, ca.SX]
     inputs: Mapping[str, ca.SX]
 
-    def link(self, name: str) -> Pose:
-        """The frame in which points of a link are stated."""
-        return self.links[BASE if name == GROUND else name]
+    def link(self, name: str | None) -> Pose:
+        """The frame in which points of a link are stated; without a name that of the ground."""
+        return self.links[name or BASE]
 
     def target(self, name: str) -> Pose:
         """The frame of a target."""
         machine = self.geometry.machine
-        if name == TIP:
+        if name == TIP and machine.calibrator:
             last = machine.chain[-1].name
             return self.links[last] @ self.geometry.far_end(last) @ Pose(identity().rotation,
                                                                          self.geometry.point(TIP))
