@@ -11,7 +11,7 @@ from hydroopt.checks.alternatives import UNITS
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.dead_channels import position_ranges
 from hydroopt.logs.log import Log
-from hydroopt.logs.quality import frozen, held
+from hydroopt.logs.quality import frozen, held, without_noise
 from hydroopt.logs.table import runs
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensor import Sensor
@@ -62,6 +62,8 @@ def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
     >>> [(str(found.kind), found.subject) for found in stuck_sensors(machine, stuck, "run")]
     [('sensor stuck', ('boom_cylinder.p_head',))]
     """
+    if without_noise(log.channels):
+        return
     for channel, joints in _movers(machine, log).items():
         stuck, joint = np.zeros(log.size, dtype=bool), ""
         for start, stop in frozen(log.channels[channel], log.segment):

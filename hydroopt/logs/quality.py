@@ -146,6 +146,24 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
     return mask
 
 
+def without_noise(channels: Mapping[str, Array]) -> bool:
+    """Whether no channel (N,) that mostly changes contains noise, as in exact simulated logs, where a rest is no fault.
+
+    The differences of noise grow with their order, those of a smooth motion shrink.
+
+    >>> t = np.arange(500) / 50
+    >>> noise = 1e-4 * np.random.default_rng(0).standard_normal(500)
+    >>> without_noise({"q": np.sin(t), "p": np.maximum(np.sin(3 * t), 0)}), without_noise({"q": np.sin(t) + noise})
+    (True, False)
+    """
+    def size(x: Array, order: int) -> float:
+        steps = np.abs(np.diff(x, order))
+        return float(np.median(steps[steps > 0])) if np.any(steps) else 0.0
+
+    sizes = [(size(x, 5), size(x, 2)) for x in channels.values() if 2 * np.count_nonzero(np.diff(x)) > x.size]
+    return bool(sizes) and all(fifth < second for fifth, second in sizes)
+
+
 Extremes = tuple[float, float]
 
 

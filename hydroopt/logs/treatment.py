@@ -188,6 +188,7 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     joined = {name: x if present[name].all() else np.interp(samples.t, samples.t[present[name]], x[present[name]])
               for name, x in samples.channels.items() if present[name].any()}
     sensed = {name: x for name, x in joined.items() if not name.endswith(".u")}
+    sensed = {} if find.without_noise(sensed) else sensed
     none = np.zeros(samples.t.size, bool)
     whole = samples.whole or {}
     clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name)) & present[name]
