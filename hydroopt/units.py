@@ -1,18 +1,28 @@
-"""The only place where units are converted; everything inside hydroopt is SI (m, rad, kg, s, N, Pa)."""
+"""The only place where units are converted; everything inside hydroopt is SI (m, rad, kg, s, N, Pa).
 
+pint reads units, with the definitions of `units.txt`, where the angle has a dimension. It is imported when a unit is
+first read.
+"""
+
+from __future__ import annotations
+
+import difflib
 import math
 import re
 from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from hydroopt.errors import HydrooptError
-from hydroopt.unit_expressions import base, definitions, parsed, root
 
-_ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade", "turn", "revolution",
-           "revolutions_per_minute", "revolutions_per_second"}
-_NO_DIMENSION = {"radian", "bit", "count"}
-_COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not
+if TYPE_CHECKING:
+    import pint
+
+_WITHOUT_ANGLE = {"N*m*s/rad": "N*m*s"}  # a friction coefficient may be stated per radian or not
 _JOINED = re.compile(r"^((?>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?))([a-zA-Z°%µ])")  # a number and its unit
-_ABSURD = re.compile(r"\d{3}")  # no unit has such a power
+_NO_UNIT = re.compile(r"\d{3}|//|[^\w\s*/^()·.%‰°⁰¹²³⁴⁵⁶⁷⁸⁹⁻+-]|"
+                      r"(?:\^|\*\*|[⁰¹²³⁴-⁹])[^A-Za-z]*(?:\^|\*\*)|(?:\^|\*\*)[^A-Za-z]*[⁰¹²³⁴-⁹]")
+"""What no unit has: characters of something else, a number of three digits, a power of a power."""
 
 SMALLEST = 1e-60
 """Smallest magnitude [SI] of a number that is not zero: powers of smaller ones underflow."""
@@ -38,6 +48,28 @@ def in_print(unit: str) -> str:
 
 
 @cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry(Path(__file__).with_name("units.txt"), cache_folder=None)
+
+
+@cache
+def _parsed(unit: str) -> tuple[float, dict[str, float]]:
+    """Size in base units (metre, kilogram, second, ampere, radian …) of a unit, and their powers.
+
+    Raises:
+        ValueError: it is no unit.
+    """
+    if len(unit) > 60 or _NO_UNIT.search(unit):
+        raise ValueError(unit)
+    try:
+        found = _registry().Quantity(1.0, _registry().parse_units(unit)).to_base_units()
+    except Exception as error:  # whatever pint raises, the text is at fault
+        raise ValueError(unit) from error
+    return float(found.magnitude), cast("dict[str, float]", dict(found.unit_items()))
+
+
 def factor(unit: str, si: str, *, where: str = "unit") -> float:
     """Factor from `unit` to the SI unit `si`, e.g. ``factor("psi", "Pa") == 6894.757...``.
 
@@ -47,17 +79,36 @@ def factor(unit: str, si: str, *, where: str = "unit") -> float:
     if unit.startswith("Grad"):
         raise UnitError(f"'{unit:.40}' would be a gigaradian here", where=where,
                         remedy=f"write '{unit.replace('Grad', 'deg'):.40}' for degrees, or 'gon'")
-    if len(unit) > 60 or _ABSURD.search(unit):
-        raise _wrong(unit, si, where)
+    found = _ratio(unit, si)
+    if found is None:
+        raise UnitError(f"'{unit:.40}' is not a unit of the kind '{si}'", where=where,
+                        remedy=f"use '{_nearest(unit, si)}' or another unit of that kind")
+    return found
+
+
+@cache
+def _ratio(unit: str, si: str) -> float | None:
+    """The factor from one unit to another; None where they are of different kinds, or one is unknown."""
+    for wanted in filter(None, (si, _WITHOUT_ANGLE.get(si))):
+        try:
+            (own, powers), (other, theirs) = _parsed(unit), _parsed(wanted)
+        except ValueError:
+            return None
+        if powers == theirs:
+            return own / other
+    return None
+
+
+def _nearest(unit: str, si: str) -> str:
+    """The unit of a kind whose spelling is nearest to a text that is no unit, as ``MPa`` is to ``Mpa``."""
     try:
-        own, other = parsed(unit), parsed(si)
-        left = root(own.times(other, -1))
-    except (ValueError, ArithmeticError) as error:
-        raise _wrong(unit, si, where) from error
-    is_angle, wants_angle = (not _ANGLES.isdisjoint(each.powers) for each in (own, other))
-    if own.number != 1 or left.powers.keys() - _NO_DIMENSION or (is_angle != wants_angle and si not in _COEFFICIENT):
-        raise _wrong(unit, si, where)
-    return left.number
+        _parsed(unit)
+    except ValueError:
+        names = [name for name in dir(_registry()) if name.isalpha() and same_kind(name, si)]
+        spelled = {each.lower(): each for name in names for each in (
+            *(prefix + name for prefix in "kmMch" if len(name) < 4), name)}
+        return next((spelled[each] for each in difflib.get_close_matches(unit.lower(), spelled, 1)), si)
+    return si
 
 
 def to_si(text: str, si: str, *, where: str) -> float:
@@ -109,11 +160,20 @@ def implausible(value: float, si: str) -> str:
 
 def same_kind(unit: str, si: str) -> bool:
     """Whether `unit` measures the same kind of quantity as the SI unit `si`."""
-    try:
-        factor(unit, si)
-    except UnitError:
-        return False
-    return True
+    return not unit.startswith("Grad") and _ratio(unit, si) is not None
+
+
+def base(unit: str, *, where: str = "unit") -> tuple[float, dict[str, float]]:
+    """Size of a unit in base units (metre, kilogram, second, ampere, radian …), and the power of each by its name.
+
+    Raises:
+        UnitError: the unit is unknown.
+
+    >>> base("kN*mm")
+    (1.0, {'kilogram': 1.0, 'meter': 2.0, 'second': -2.0})
+    """
+    factor(unit, unit, where=where)
+    return _parsed(unit)
 
 
 def base_unit(unit: str, *, where: str) -> str:
@@ -123,15 +183,8 @@ def base_unit(unit: str, *, where: str) -> str:
         UnitError: the unit is unknown.
     """
     factor(unit, unit, where=where)
-    symbols, powers = definitions().symbols | {"kilogram": "kg"}, base(unit).powers
-    parts = {sign: [symbols[name] + (f"**{sign * power:g}" if sign * power != 1 else "")
-                    for name, power in sorted(powers.items()) if sign * power > 0] for sign in (1, -1)}
-    return "/".join(["*".join(parts[1]) or "1", *parts[-1]])
-
-
-def _wrong(unit: str, si: str, where: str) -> UnitError:
-    return UnitError(f"'{unit:.40}' is not a unit of the kind '{si}'", where=where,
-                     remedy=f"use '{si}' or another unit of that kind")
+    found = _registry().Quantity(1.0, unit).to_base_units().units
+    return f"{found:~C}" or "1"
 
 
 def spread_to_si(text: str, like: str, *, where: str) -> float:
@@ -140,7 +193,7 @@ def spread_to_si(text: str, like: str, *, where: str) -> float:
     if not same_kind(unit, unit):
         raise UnitError(f"the value's unit '{unit:.40}' is unknown", where=where, remedy="correct it")
     in_unit = to_si(text, unit, where=where)
-    value = in_unit * base(unit).number
+    value = in_unit * base(unit)[0]
     if not plausible(value, ""):
         raise UnitError(implausible(value, "SI units"), where=where, remedy="correct it")
     return value

@@ -48,12 +48,12 @@ def map(
         echo(found.toml())
     else:
         for each in found.proposals:
-            echo(f"{each.sureness:6}  {each.channel} = '{each.column.header}' [{each.unit or 'date'}]: {each.reason}")
-        for header in found.possible:
-            echo(f"open    '{header}': {found.question(header)}")
+            echo(f"{each.sureness:6}  {each.channel} = '{each.column.label}' [{each.unit or 'date'}]: {each.reason}")
+        for label in found.possible:
+            echo(f"open    '{label}': {found.question(label)}")
         if found.missing:
             echo(f"without a column: {', '.join(found.missing)}")
-        if unused := [header for header in found.unused if header not in found.possible]:
+        if unused := [label for label in found.unused if label not in found.possible]:
             echo(f"not used: {', '.join(repr(header) for header in unused)}")
     _next(found, log, machine, to)
 

@@ -24,7 +24,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.simulation.drive_valves import ACCURACY
 from hydroopt.spatial.inertia import Array
-from hydroopt.unit_expressions import base
+from hydroopt.units import base
 
 BASE_UNITS = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K", "radian": "rad"}
 """What FMI calls base units."""

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs import stamps
-from hydroopt.logs.channels import si_unit
-from hydroopt.logs.column_words import GENERIC, Naming, matched, may_be, naming, words_of
+from hydroopt.logs.column_words import ChannelNames, Naming
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.table import Array
 from hydroopt.logs.unit_words import of_kind
+from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.units import factor
 
 Sureness = Literal["sure", "likely", "guess"]
-TRIED = {"rad": ("rad", "deg"), "m": ("m", "mm", "cm"), "Pa": ("Pa", "kPa", "bar", "psi", "MPa")}
+TRIED = {"rad": ("rad", "deg"), "m": ("m", "mm", "cm"), "Pa": ("Pa", "kPa", "bar", "psi", "MPa"),
+         "m/s^2": ("m/s^2", "g_0", "mg_0"), "rad/s": ("rad/s", "deg/s", "mdeg/s")}
 """Units that are tried of a column that states none, by SI unit."""
 BEYOND = 0.02
-"""Share of a range by which values may leave it."""
+"""Share of a range by which values may leave it, and by which one column at least moves whose unit is inferred."""
+NEAR = 2.0
+"""Factor within which IMUs whose units are inferred measure gravity and turn it, by that many standard deviations."""
 LEAST_PRESSURE, MOST_PRESSURE = 1e6, 6e7
 """Highest pressure [Pa] of a log: at least, where its unit is inferred, and at most, where no relief is stated."""
 SILENT = 1e5
@@ -51,6 +56,11 @@ class ColumnOf:
     named: Naming
     values: Array
     dated: bool = False
+
+    @property
+    def label(self) -> str:
+        """The header, behind the name of the sheet or topic where there are several."""
+        return f"{self.sheet.name}: {self.header}" if self.sheet.name else self.header
 
 
 @dataclass(frozen=True)
@@ -78,15 +88,16 @@ class MapProposal:
 
     Attributes:
         path: of the file; `machine`: its name.
-        proposals: by channel and, of the time, by sheet; `missing`: channels without a column; `unused`: headers.
-        possible: channels that an unused column may be by its part or its quantity, by header.
+        proposals: by channel and, of the time, by sheet; `missing`: channels without a column, with the unit that the
+            file has for their kind; `unused`: labels of columns.
+        possible: channels that an unused column may be by its part or its quantity, by label.
         own_stamps: whether the rows of all sheets have stamps of their own; `several`: whether there are several.
     """
 
     path: str
     machine: str
     proposals: tuple[Proposal, ...]
-    missing: tuple[str, ...]
+    missing: Mapping[str, str]
     unused: tuple[str, ...]
     own_stamps: bool
     several: bool
@@ -118,22 +129,22 @@ class MapProposal:
         lines += [self._line(_key(each.channel), each) for each in listed]
         if self.missing:
             lines += ["", "# no column was found for these: write its name and unit, and remove the #",
-                      *(f'# {_key(name)} = {{ column = "?", unit = "{si_unit(name)}" }}' for name in self.missing)]
+                      *(f'# {_key(name)} = {{ column = "?", unit = "{unit}" }}' for name, unit in self.missing.items())]
         if self.unused:
             lines += ["", "# no channel was found for the columns:",
-                      *(self._unused_line(name) for name in self.unused)]
+                      *(self._unused_line(label) for label in self.unused)]
         for each in clocks:
             lines += ["", f"[clocks.{json.dumps(each.column.sheet.name, ensure_ascii=False)}]", self._line("t", each),
                       '# delay = "0 ms ± 50 ms"  # if its clock is not that of the others: it is estimated with these']
         return "\n".join(lines) + "\n"
 
-    def _unused_line(self, header: str) -> str:
-        line = f"# {json.dumps(header, ensure_ascii=False)}"
-        return f"{line}  # {self.question(header)} Its name does not say" if header in self.possible else line
+    def _unused_line(self, label: str) -> str:
+        line = f"# {json.dumps(label, ensure_ascii=False)}"
+        return f"{line}  # {self.question(label)} Its name does not say" if label in self.possible else line
 
-    def question(self, header: str) -> str:
+    def question(self, label: str) -> str:
         """Which of the possible channels a column is, as a question."""
-        names = self.possible[header]
+        names = self.possible[label]
         return " or ".join([*names[:MOST], *([f"{len(names) - MOST} more"] if len(names) > MOST else [])]) + "?"
 
     def _line(self, key: str, each: Proposal) -> str:
@@ -149,36 +160,52 @@ class MapProposal:
 def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     """A column map of a log for a machine, of names, units and values of its columns.
 
-    A column counts for a channel if its name says so (English or German) and its unit and values allow it: angles
-    within joint limits, lengths within strokes, pressures below relief. Its unit stands in brackets or is the last
-    word of its header, see `unit_words`. A unit that the file does not state, or states by a word with several
-    meanings, is taken if one alone allows the values. Angles and lengths that agree through a cylinder's triangle are
-    sure, and guesses if they contradict each other there.
+    A column counts for a channel if its name says so by the words of `spellings.toml` and its unit and values allow
+    it: angles within joint limits, lengths within strokes, pressures below relief. Its unit stands in brackets or is
+    the last word of its header, see `unit_words`. A unit that the file does not state, or states by a word with
+    several meanings, is taken if one alone allows the values, or gravity those of IMUs. Angles and lengths that agree
+    through a cylinder's triangle are sure, and guesses if they contradict each other there.
 
     Raises:
         LogError: the file is damaged or of an unknown kind.
     """
     wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
-    parts = {channel.rpartition(".")[0] for channel in wanted}
+    model = Model(machine)
+    names = ChannelNames(wanted, _upright(model))
     with open_files([str(path)], None) as source:
-        columns = [column for sheet in source.sheets for column in _columns(sheet, parts)]
+        columns = [column for sheet in source.sheets for column in _columns(sheet, names)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1
         times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
-    found = _by_triangles(Model(machine), {**_by_number(machine, rest), **_by_name(machine, wanted, rest)})
+    found = _by_triangles(model, {**_by_number(machine, rest), **_by_name(machine, names, rest, times)})
     found = _loud_enough(found, wanted)
     taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
     usual = {*(f"{joint}.q" for joint in machine.joints),
              *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
     unused = [column for column in rest if (column.sheet.name, column.index) not in taken]
-    free = {name: si for name, si in wanted.items() if name not in found}
-    possible = {column.header: some for column in unused if (some := _possible(column.named, free, usual))}
+    free = [name for name in wanted if name not in found]
+    possible = {column.label: some for column in unused if (some := _possible(names, column.named, free, usual))}
+    missing = {name: _stated_unit(wanted[name], [*(each for each in unused if name in possible.get(each.label, ())),
+                                                 *rest]) for name in free if name in usual}
     return MapProposal(
-        str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)),
-        tuple(name for name in wanted if name in usual and name not in found),
-        tuple(column.header for column in unused), own, several, possible)
+        str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)), missing,
+        tuple(column.label for column in unused), own, several, possible)
+
+
+def _upright(model: Model) -> frozenset[str]:
+    """The joints about whose axes gravity has no torque, so that no inclination is their angle."""
+    limits = [model.machine.link(joint).joint for joint in model.machine.joints]
+    middle = [0.5 * ((each.lower or 0.0) + (each.upper or 0.0)) for each in limits]
+    torques = np.abs(np.asarray(model.gravity_torques(middle, model.parameters.nominal))).ravel()
+    return frozenset(joint for joint, torque in zip(model.machine.joints, torques, strict=True)
+                     if torque < np.finfo(float).eps ** 0.5 * torques.max())
+
+
+def _stated_unit(si: str, columns: Iterable[ColumnOf]) -> str:
+    """The unit of the first of these columns that states one of a kind; the SI unit where none does."""
+    return next((unit for column in columns for unit in of_kind(column.named.units, si)), si)
 
 
 def _loud_enough(found: Mapping[str, Proposal], wanted: Mapping[str, str]) -> dict[str, Proposal]:
@@ -193,10 +220,10 @@ def _loud_enough(found: Mapping[str, Proposal], wanted: Mapping[str, str]) -> di
             if name in highest else each for name, each in found.items()}
 
 
-def _possible(named: Naming, free: Mapping[str, str], usual: Collection[str]) -> tuple[str, ...]:
+def _possible(names: ChannelNames, named: Naming, free: Sequence[str], usual: Collection[str]) -> tuple[str, ...]:
     """Which of the free channels a header may stand for, the usual ones alone if there are such."""
-    found = tuple(name for name, si in free.items() if may_be(name, named, si)
-                  and (of_kind(named.units, si) if named.units else name in usual))
+    found = tuple(name for name in free if names.may_be(name, named)
+                  and (of_kind(named.units, names.channels[name]) if named.units else name in usual))
     return tuple(name for name in found if name in usual) or found
 
 
@@ -204,12 +231,9 @@ def _key(channel: str) -> str:
     return channel if channel == "t" else f'"{channel}"'
 
 
-def _columns(sheet: Sheet, parts: Collection[str]) -> Iterator[ColumnOf]:
+def _columns(sheet: Sheet, names: ChannelNames) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
     for index, header in enumerate(sheet.content.header):
-        named = naming(header, parts)
-        if sheet.name and not any(part.isspace() for part in sheet.name):
-            named = replace(named, of_sheet=words_of(sheet.name))
         try:
             table = sheet.content.read([index], time=index)
         except LogError:
@@ -217,13 +241,13 @@ def _columns(sheet: Sheet, parts: Collection[str]) -> Iterator[ColumnOf]:
         values = table.columns[index]
         if np.isfinite(values).any():
             dated = table.stamps is not None and not table.stamps.unit
-            yield ColumnOf(sheet, index, header, named, values, dated)
+            yield ColumnOf(sheet, index, header, names.naming(header, sheet.name), values, dated)
 
 
 def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
     """The time of a sheet: the column that is named so, or alone has a unit of time, and increases."""
     held = [column for column in columns if column.sheet == sheet]
-    named = [column for column in held if column.dated or column.named.words == {"time"} or column.named.bare == "t"]
+    named = [column for column in held if column.dated or column.named.is_time]
     increasing = [each for each in named if _increases(each)] or named
     if not increasing:
         clocks = [each for each in held if of_kind(each.named.units, "s") and _increases(each)]
@@ -251,15 +275,19 @@ def _increases(column: ColumnOf) -> bool:
     return bool(np.all(np.diff(values) >= 0) and values[0] < values[-1])
 
 
-def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
+def _by_name(machine: Machine, names: ChannelNames, columns: Sequence[ColumnOf],
+             times: Sequence[Proposal]) -> dict[str, Proposal]:
     """The best column of each channel by its name, judged by unit and values."""
     ranked: dict[str, list[tuple[int, Proposal]]] = {}
-    scores = {channel: [(score, column) for column in columns if (score := matched(channel, column.named, si))]
-              for channel, si in wanted.items()}
-    usual = TRIED | {"Pa": _pressure_units(machine, {
-        channel: [column for score, column in scores[channel] if score > 1]
-        for channel, si in wanted.items() if si == "Pa"})}
-    for channel, si in wanted.items():
+    scores = {channel: [(score, column) for column in columns if (score := names.fit(channel, column.named))]
+              for channel in names.channels}
+    named = [column for found in scores.values() for _, column in found]
+    for column in columns:
+        if column not in named and (alone := names.fit_alone(column.named)):
+            scores[alone].append((1, column))
+    usual = _inferred_units(machine, {channel: [column for score, column in found if score > 1]
+                                      for channel, found in scores.items()}, names.channels, times)
+    for channel, si in names.channels.items():
         for score, column in scores[channel]:
             if (made := _judged(machine, channel, si, column, score, usual.get(si, (si,)))) is not None:
                 ranked.setdefault(channel, []).append((score, made))
@@ -287,10 +315,14 @@ def _by_number(machine: Machine, columns: Sequence[ColumnOf]) -> dict[str, Propo
     """Columns `q1` to `qn` or `joint 1 [deg]` as guesses for the n joints, in the machine file's order."""
     numbered: dict[int, list[ColumnOf]] = {}
     for column in columns:
-        number = [word for word in column.named.words if word.isdigit()]
-        angle = "angle" in column.named.words or of_kind(column.named.units, "rad")
-        if len(number) == 1 and angle and not column.named.words - GENERIC - {"angle", *number}:
-            numbered.setdefault(int(number[0]), []).append(column)
+        for reading in column.named.readings:
+            number = [word for kind, word in reading if kind == "numbers"]
+            rest = {word for word in reading if word[0] != "numbers"}
+            angle = rest & {("quantities", "angle"), ("quantities", "position")} or of_kind(column.named.units, "rad")
+            if len(number) == 1 and angle and rest <= {
+                    ("devices", "joint"), ("quantities", "angle"), ("quantities", "position")}:
+                numbered.setdefault(int(number[0]), []).append(column)
+                break
     joints = machine.joints
     if sorted(numbered) != list(range(1, len(joints) + 1)) or any(len(each) > 1 for each in numbered.values()):
         return {}
@@ -301,24 +333,85 @@ def _by_number(machine: Machine, columns: Sequence[ColumnOf]) -> dict[str, Propo
         for channel, each in made.items() if each is not None}
 
 
-def _pressure_units(machine: Machine, named: Mapping[str, Sequence[ColumnOf]]) -> tuple[str, ...]:
-    """The usual units that allow all pressures without a unit: a logger writes all of them in one.
+def _inferred_units(machine: Machine, named: Mapping[str, Sequence[ColumnOf]], si: Mapping[str, str],
+                    times: Sequence[Proposal]) -> dict[str, tuple[str, ...]]:
+    """The usual units of each kind that allow all columns without a unit: a logger writes all of a kind in one.
 
-    Columns that no unit allows do not count. Where units differ from column to column, all usual ones.
+    Angles, lengths and pressures are then within their ranges and move, or the highest is a pressure of a hydraulic
+    machine. Columns that no unit allows do not count. Where units differ from column to column, all usual ones. What
+    IMUs measure is judged by gravity.
     """
-    columns = [(channel, column) for channel, found in named.items() for column in found if not column.named.units]
-    allowed = [set(fitting) for channel, column in columns
-               if (fitting := _fitting(machine, channel, "Pa", column.values, TRIED["Pa"]))]
-    highest = max((float(np.nanmax(column.values)) for _, column in columns), default=0.0)
-    together = tuple(unit for unit in TRIED["Pa"] if all(unit in each for each in allowed)
-                     and highest * factor(unit, "Pa") >= LEAST_PRESSURE)
-    return together or TRIED["Pa"]
+    units = dict(TRIED)
+    for kind in ("rad", "m", "Pa"):
+        columns = [(channel, column) for channel, found in named.items() if si[channel] == kind
+                   for column in found if not column.named.units]
+        allowed = [fitting for channel, column in columns
+                   if (fitting := [unit for unit in _fitting(machine, channel, kind, column.values, TRIED[kind])
+                                   if kind == "Pa" or _shows(machine, channel, kind, column.values, unit)])]
+        highest = max((float(np.nanmax(column.values)) for _, column in columns), default=0.0)
+        together = tuple(unit for unit in TRIED[kind] if all(unit in each for each in allowed)
+                         and (kind != "Pa" or highest * factor(unit, "Pa") >= LEAST_PRESSURE))
+        units[kind] = together or TRIED[kind]
+    return units | _by_gravity(machine.gravity, named, times)
+
+
+def _shows(machine: Machine, channel: str, si: str, values: Array, unit: str) -> bool:
+    """Whether values in a unit are a pressure above `SILENT`, or move by more than a range may be left by."""
+    low_high = _limits(machine, channel, si)
+    if si == "Pa":
+        return bool(np.nanmax(values) * factor(unit, si) >= SILENT)
+    return low_high is None or bool(np.ptp(values[np.isfinite(values)]) * factor(unit, si) >=
+                                    BEYOND * (low_high[1] - low_high[0]))
+
+
+def _limits(machine: Machine, channel: str, si: str) -> tuple[float, float] | None:
+    """The range of a channel, that of a joint without limits a turn either way."""
+    return _range(machine, channel) or ((-math.tau, math.tau) if si == "rad" and channel.endswith(".q") else None)
+
+
+def _by_gravity(gravity: float, named: Mapping[str, Sequence[ColumnOf]],
+                times: Sequence[Proposal]) -> dict[str, tuple[str, ...]]:
+    """The units of accelerations and rates of which all IMUs measure gravity, and turn it at their own rates.
+
+    A gravity a that stands still turns by ȧ = −ω × a in the axes of an IMU, over one second here.
+    """
+    sizes: dict[str, list[float]] = {"m/s^2": []}
+    fit = np.zeros(4)
+    for name in dict.fromkeys(channel.rpartition(".")[0] for channel in named if channel.endswith(".accel_x")):
+        accelerations, rates = ([each[0] for end in ends if len(each := named.get(f"{name}.{end}", ())) == 1]
+                                for ends in (ACCELEROMETER, GYROSCOPE))
+        if len(accelerations) < 3:
+            continue
+        lengths = np.linalg.norm([each.values for each in accelerations], axis=0)
+        length = float(np.nanmedian(lengths))
+        if not any(each.named.units for each in accelerations):
+            sizes["m/s^2"].append(length / gravity)
+        sheet = accelerations[0].sheet
+        clock = next((each for each in times if each.column.sheet == sheet), None)
+        if clock is None or len(rates) < 3 or any(each.named.units or each.sheet != sheet for each in rates):
+            continue
+        t = clock.column.values * (factor(clock.unit, "s") if clock.unit else 1.0)
+        values = np.array([each.values for each in (*accelerations, *rates)]).T
+        sound = np.isfinite(values).all(axis=1) & np.isfinite(t)
+        t, a, rate = t[sound], values[sound, :3] / length, values[sound, 3:]
+        later = np.searchsorted(t, t + 1.0)
+        start = np.flatnonzero(later < len(t))
+        change, turn = (each[later[start]] - each[start] for each in (
+            a, cumulative_trapezoid(-np.cross(rate, a), t, axis=0, initial=0)))
+        fit += np.sum(turn * change), np.sum(turn**2), np.sum(change**2), np.ptp(t)
+    if fit[0] > 0 and fit[0] ** 2 * fit[3] > NEAR**2 * fit[1] * fit[2]:
+        sizes["rad/s"] = [fit[1] / fit[0]]
+    near = {si: [unit for unit in TRIED[si] if 1 / NEAR < np.median(size) * factor(unit, si) < NEAR]
+            for si, size in sizes.items() if size}
+    return {si: tuple(units) or TRIED[si] for si, units in near.items()}
 
 
 def _fitting(machine: Machine, channel: str, si: str, values: Array, units: Sequence[str]) -> list[str]:
-    """Of the units, those in which the values are within a channel's range; none where the machine states no range."""
-    low_high = _range(machine, channel)
-    return [] if low_high is None else [unit for unit in units if _within(values * factor(unit, si), low_high)]
+    """Of the units, those in which the values are within a channel's range; all usual ones where it has none."""
+    low_high = _limits(machine, channel, si)
+    if low_high is None:
+        return [*units] if si in TRIED else []
+    return [unit for unit in units if _within(values * factor(unit, si), low_high)]
 
 
 def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int,
@@ -331,7 +424,7 @@ def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: in
     stated, low_high = of_kind(column.named.units, si), _range(machine, channel)
     if column.named.units and not stated:
         return None
-    said = {3: "named as the channel", 2: "part and quantity in its name", 1: "part in its name"}[score]
+    said = {3: "named as the channel", 2: "part and quantity in its name", 1: "part or quantity inferred"}[score]
     if len(stated) == 1:
         unit = stated[0]
         sureness: Sureness = "sure" if score > 1 else "likely"
@@ -341,19 +434,19 @@ def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: in
         if _within(column.values * factor(unit, si), low_high):
             return Proposal(channel, column, unit, sureness, f"{said}, values within its range")
         return Proposal(channel, column, unit, "guess", f"{said}, but {_outside(column, unit, si, low_high)}")
-    fitting = _fitting(machine, channel, si, column.values, stated or usual)
-    if si == "Pa" and not stated:
-        fitting = [unit for unit in fitting if np.nanmax(column.values) * factor(unit, si) >= SILENT]
+    fitting, tried = (_fitting(machine, channel, si, column.values, units) for units in (
+        stated or usual, TRIED.get(si, (si,))))
+    shown = fitting if stated else [unit for unit in fitting if _shows(machine, channel, si, column.values, unit)]
     if stated:
         said += f", '{column.named.text}' may be {' or '.join(stated)}"
-    if len(fitting) == 1 and score > 1:
-        alone = stated or len(_fitting(machine, channel, si, column.values, TRIED.get(si, (si,)))) == 1
-        who = "its values allow" if alone else "all pressures without a unit together allow"
-        return Proposal(channel, column, fitting[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "
-                        f"{who} {fitting[0]} alone")
+    if len(shown) == 1 and score > 1:
+        who = ("its values allow" if stated or len(tried) == 1 else "gravity allows" if low_high is None else
+               "all columns of its kind without a unit together allow")
+        return Proposal(channel, column, shown[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "
+                        f"{who} {shown[0]} alone")
     if stated:
         return Proposal(channel, column, (fitting or stated)[0], "guess", f"{said}: write the right unit")
-    choice = " or ".join(fitting) if fitting else "none of the usual ones fits"
+    choice = " or ".join(tried) if tried else "none of the usual ones fits"
     return Proposal(channel, column, (fitting or [si])[0], "guess", f"{said}, without a unit ({choice})")
 
 

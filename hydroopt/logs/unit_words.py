@@ -3,49 +3,16 @@
 from __future__ import annotations
 
 import re
+import tomllib
 import unicodedata
 from collections.abc import Collection, Iterable
 from functools import cache
 from itertools import product
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from hydroopt.units import same_kind
 
-WORDS = {
-    "deg": ("deg", "degs", "degree", "degrees", "°", "º", "˚", "gradi", "grado", "grados", "degre", "degres", "aste",
-            "astetta", "asteet", "grader", "度"),
-    "rad": ("rad", "rads", "radian", "radians", "radiant", "radianes", "radiaani", "radiaania", "radianer", "rajian"),
-    "mrad": ("mrad",), "gon": ("gon",),
-    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "seconde", "secondes", "seg",
-          "segundo", "segundos", "sekunti", "sekuntia", "sekunder", "byo", "byou", "秒"),
-    "ms": ("ms", "msec", "msecs", "msek", "mseg", "millis", "millisec", "millisecs", "millisecond", "milliseconds",
-           "millisekunde", "millisekunden", "milliseconde", "millisecondes", "milisegundo", "milisegundos",
-           "millisekunti", "millisekuntia", "millisekunder", "miribyo", "miribyou", "ミリ秒"),
-    "us": ("us", "usec", "usecs", "micros", "microsecond", "microseconds", "mikrosekunde", "mikrosekunden",
-           "microseconde", "microsecondes", "microsegundos"),
-    "ns": ("ns", "nsec", "nanos", "nanosecond", "nanoseconds", "nanosekunden"),
-    "m": ("m", "meter", "meters", "metre", "metres", "metro", "metros", "metri", "metria"),
-    "cm": ("cm", "centimeter", "centimeters", "centimetre", "centimetres", "zentimeter", "centimetro", "centimetros",
-           "senttimetri"),
-    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres", "milimetro", "milimetros", "millimetri"),
-    "inch": ("inch", "inches"), "ft": ("ft", "feet"),
-    "bar": ("bar", "bars", "barg", "baari", "baaria"), "mbar": ("mbar", "millibar"), "psi": ("psi", "psig"),
-    "Pa": ("pa", "pascal", "pascals"), "hPa": ("hpa", "hectopascal"),
-    "kPa": ("kpa", "kilopascal", "kilopascals", "kiropasukaru"),
-    "MPa": ("mpa", "megapascal", "megapascals", "megapasukaru"),
-    "kgf/cm^2": ("kg/cm2", "kp/cm2", "kgf/cm2"), "N/mm^2": ("n/mm2",),
-    "N": ("newton", "newtons"), "kN": ("kn", "kilonewton"), "daN": ("dan",), "kgf": ("kgf", "kp"),
-    "lbf": ("lbf",), "N*m": ("newtonmeter",), "kN*m": ("knm", "kilonewtonmeter"),
-    "deg/s": ("dps",), "m/s": ("mps",), "rpm": ("rpm", "u/min", "tr/min", "upm"),
-    "V": ("volt", "volts"), "mV": ("mv", "millivolt", "millivolts"), "A": ("amp", "amps", "ampere"),
-    "mA": ("ma", "milliamp", "milliamps", "milliampere"), "%": ("%", "percent", "prozent", "pct"),
-}
-"""Words for each unit, without accents and in lower case: what counts as a unit behind a name, too."""
-SEVERAL: dict[str, tuple[str, ...]] = {"grad": ("deg", "gon"), "nm": ("N*m", "nm"), "g": ("g_0", "g")}
-"""Units of words that have several: degrees in German and Swedish, gon elsewhere; newton metres and nanometres; the
-acceleration of gravity and grams."""
-SPELLED = {"Grad": "deg", "mPa": "mPa", "Nm": "N*m", "N": "N", "V": "V"}
-"""Units of words that their case tells: the German noun, symbols of one letter, a prefix. An "A" may be a chamber."""
 GERMAN = re.compile("winkel|neigung|stellung|drehung|schwenk|lage")
 """Behind these, "grad" stands for degrees."""
 TIMES = ("ms", "us", "ns")
@@ -54,9 +21,15 @@ _PLAIN = str.maketrans({"²": "2", "³": "3", "μ": "u", "µ": "u", "·": "*", "
 _BRACKETS = re.compile(r"(.*?\S)\s*[\[({]([^\[\](){}]*)[\])}]")
 _GAUGE = re.compile(r"\b(bar|psi)\s*\(g\)", re.IGNORECASE)
 _OPERATOR = re.compile(r"\s*(/|\*|\bper\b|\bpro\b)\s*", re.IGNORECASE)
-_POWER = re.compile(r"(.+?)(?:\^|\*\*)?([23])")
-_RATE = re.compile(r"(.*\S)_(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", re.IGNORECASE)
-_HUMP = re.compile(r"(.*[a-z\d])([A-Z][a-z]+)")
+_POWER = re.compile(r"(.+?)\^?([23])")
+_RATE = re.compile(r"(.*[^\W_])_+(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", re.IGNORECASE)
+_HUMP = re.compile(r"(.*[a-z\d])((?:[A-Z]{1,2}[a-z]+))(S?)")
+
+
+@cache
+def spellings() -> dict[str, Any]:
+    """The tables of `spellings.toml`."""
+    return tomllib.loads(Path(__file__).with_name("spellings.toml").read_text("utf-8"))
 
 
 class Header(NamedTuple):
@@ -70,8 +43,8 @@ class Header(NamedTuple):
 def header_of(header: str, names: Collection[str] = ()) -> Header:
     """The parts of a header whose unit stands in brackets, behind "/" or "in", or is its last word.
 
-    In brackets any unit counts, else those of `WORDS`. A last word that is among `names`, the words of a machine's
-    parts, stays one. A word for a unit of time alone, such as ``ms``, is name and unit.
+    In brackets any unit counts, else those of `spellings.toml`. A last word that is among `names`, the words of a
+    machine's parts, stays one. A word for a unit of time alone, such as ``ms``, is name and unit.
 
     >>> header_of("Druck Boom bar"), header_of("Winkel (Grad)").units, header_of("boom angle [grad]").units
     (Header(name='Druck Boom', text='bar', units=('bar',)), ('deg',), ('deg', 'gon'))
@@ -100,14 +73,23 @@ def units_of(text: str, name: str = "", *, listed: bool = False) -> tuple[str, .
     (('deg/s',), ('deg', 'gon'), ('deg',), ('kWh',), ('kPa',))
 
     Args:
-        listed: whether only units of `WORDS` and powers, products and quotients of them count.
+        listed: whether only units of `spellings.toml` and powers, products and quotients of them count.
     """
-    plain = text.strip().rstrip(".").translate(_PLAIN)
-    parts = [part for part in _OPERATOR.split(plain) if part] if _words().get(_folded(plain)) is None else [plain]
+    plain = text.strip().rstrip(".").translate(_PLAIN).replace("**", "^")
+    whole = [part for part in _OPERATOR.split(plain) if part] if _folded(plain) not in _words() else [plain]
     meant = [("/" if part.lower() in ("per", "pro", "/") else "*",) if k % 2 else _atom(part, name, listed)
-             for k, part in enumerate(parts)]
-    found = (("".join(each)) for each in product(*meant))
+             for k, part in enumerate(whole)]
+    found = ("".join(each) for each in product(*meant))
     return tuple(unit for unit in found if unit and same_kind(unit, unit))
+
+
+def is_unit(word: str) -> bool:
+    """Whether a word of three letters and more is a unit of `spellings.toml`, wherever in a name it stands.
+
+    >>> is_unit("deg"), is_unit("m"), is_unit("max")
+    (True, False, False)
+    """
+    return len(word) > 2 and word in _words()
 
 
 def of_kind(units: Iterable[str], *kinds: str) -> tuple[str, ...]:
@@ -121,14 +103,18 @@ def of_kind(units: Iterable[str], *kinds: str) -> tuple[str, ...]:
 
 @cache
 def _words() -> dict[str, tuple[str, ...]]:
-    found: dict[str, tuple[str, ...]] = {word: (unit,) for unit, words in WORDS.items() for word in words}
-    return found | SEVERAL
+    """The units of each word; several where it stands for several."""
+    found: dict[str, tuple[str, ...]] = {}
+    for unit, words in spellings()["units"].items():
+        for word in words.split():
+            found[word] = (*found.get(word, ()), unit)
+    return found
 
 
 def _atom(text: str, name: str, listed: bool) -> tuple[str, ...]:
     """What one word means, or a power of it; in degrees per second the words are two."""
-    if text in SPELLED:
-        return (SPELLED[text],)
+    if written := spellings()["units_as_written"].get(text):
+        return (written,)
     folded = _folded(text)
     if folded == "grad" and GERMAN.search(_folded(name)):
         return ("deg",)
@@ -141,7 +127,7 @@ def _atom(text: str, name: str, listed: bool) -> tuple[str, ...]:
 
 def _behind(header: str) -> Iterable[tuple[str, str]]:
     """The ways in which a header may end in a unit without brackets, the longest unit first."""
-    for pattern in (r"(.*?\S)\s+(\S+\s+(?:per|pro|/)\s+\S+)", r"(.*\S)[\s,;:]+(\S+)"):
+    for pattern in (r"(.*?\S)[\s,;:]+(\S+\s+(?:per|pro|/)\s+\S+)", r"(.*\S)[\s,;:]+(\S+)"):
         if found := re.fullmatch(pattern, header):
             yield found[1], found[2]
     if found := _RATE.fullmatch(header):
@@ -151,8 +137,8 @@ def _behind(header: str) -> Iterable[tuple[str, str]]:
             yield found[1], found[2]
     if found := re.fullmatch(r"(.*[^\W_])(°|º|˚|°/s|%)", header):
         yield found[1], found[2]
-    if (found := _HUMP.fullmatch(header)) and len(found[2]) > 1:
-        yield found[1], found[2]
+    if found := _HUMP.fullmatch(header):
+        yield found[1], f"{found[2]}/s" if found[3] else found[2]
 
 
 def _bare(name: str) -> str:

@@ -2,20 +2,20 @@
 
 import json
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 from hydroopt.cli import app
-from hydroopt.logs.column_words import matched, naming, words_of
+from hydroopt.logs.column_words import ChannelNames
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.map_proposal import propose_map
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate
+from studies.first_contact import spellings
 
 FOREIGN = {"boom.q": ("Ausleger Winkel (°)", "deg", 180 / np.pi), "stick.q": ("Stiel_Winkel", "deg", 180 / np.pi),
            "swing.q": ("slew angle [rad]", "rad", 1.0), "boom_cylinder.p_head": ("pBoomHead", "bar", 1e-5),
@@ -54,7 +54,7 @@ def test_foreign_names_are_found_and_the_map_reads_the_log(machine, log, tmp_pat
         "stick.q": "likely", "boom_cylinder.p_head": "likely"}
     assert {each.channel: each.unit for each in found.proposals if each.channel != "t"} == {
         channel: unit for channel, (_, unit, _) in FOREIGN.items()}
-    assert (found.missing, found.unused) == ((), ("Oil temp",))
+    assert (found.missing, found.unused) == ({}, ("Oil temp",))
     assert "agree through the triangle of boom_cylinder" in found.toml()
     (tmp_path / "map.toml").write_text(found.toml())
     again = read_log(path, mapping=tmp_path / "map.toml")
@@ -94,20 +94,37 @@ def test_what_is_only_guessed_is_a_comment(machine, log, tmp_path):
     assert "swing_motor.p_b" in found.missing
 
 
-@pytest.mark.parametrize(("header", "channel", "kind", "score"), [
-    ("boom.q [deg]", "boom.q", "rad", 3), ("BoomAngle_deg", "boom.q", "rad", 2), ("boom_q", "boom.q", "rad", 2),
-    ("boom [deg]", "boom.q", "rad", 1), ("boom", "boom.q", "rad", 0), ("boom rate [deg/s]", "boom.q", "rad", 0),
-    ("Löffelstiel Zylinder Druck Stangenseite", "stick_cylinder.p_rod", "Pa", 2),
-    ("stick head", "boom_cylinder.p_head", "Pa", 0), ("boom cyl head p2", "boom_cylinder.p_head", "Pa", 0),
-    ("axis 1 angle", "axis1.q", "rad", 2), ("axis 12 angle", "axis1.q", "rad", 0)])
-def test_names_are_matched_by_their_words(header, channel, kind, score):
-    assert matched(channel, naming(header), kind) == score
+PARTS = {"q": "rad", "qd": "rad/s", "length": "m", "p_head": "Pa", "p_rod": "Pa", "p_a": "Pa", "p_b": "Pa",
+         "gyro_x": "rad/s", "gyro_y": "rad/s", "pitch": "rad"}
+ENDS = {"cylinder": ("length", "p_head", "p_rod"), "motor": ("p_a", "p_b"), "imu": ("gyro_x", "gyro_y", "pitch"),
+        "": ("q", "qd")}
 
 
-def test_a_topic_names_the_part():
-    named = replace(naming("angular_velocity.x [rad/s]"), of_sheet=words_of("/imu/boom"))
-    assert matched("boom_imu.gyro_x", named, "rad/s") == 2
-    assert matched("boom_imu.gyro_y", named, "rad/s") == matched("stick_imu.gyro_x", named, "rad/s") == 0
+def names(*parts: str, **kinds: str) -> ChannelNames:
+    """The names of channels of parts by their kind, the last word of a part's name."""
+    channels = {f"{part}.{end}": PARTS[end] for part in parts
+                for end in ENDS.get(part.rpartition("_")[2], ENDS[""])}
+    return ChannelNames(channels | kinds)
+
+
+@pytest.mark.parametrize(("header", "channel", "score"), [
+    ("boom.q [deg]", "boom.q", 3), ("BoomAngle_deg", "boom.q", 2), ("boom_q", "boom.q", 2),
+    ("boom [deg]", "boom.q", 1), ("boom", "boom.q", 0), ("boom rate [deg/s]", "boom.q", 0),
+    ("Löffelstiel Zylinder Druck Stangenseite", "stick_cylinder.p_rod", 2), ("stick head", "boom_cylinder.p_head", 0),
+    ("boom cyl head p2", "boom_cylinder.p_head", 0), ("axis 1 angle", "axis1.q", 2), ("axis 12 angle", "axis1.q", 0)])
+def test_names_are_matched_by_their_words(header, channel, score):
+    found = names("boom", "stick", "axis1", "boom_cylinder", "stick_cylinder")
+    assert found.fit(channel, found.naming(header)) == score
+
+
+def test_a_topic_names_the_part_the_chamber_and_the_quantity_that_the_field_leaves_out():
+    found = names("boom", "boom_imu", "stick_imu", "boom_cylinder")
+    for field, topic, channel in (("angular_velocity.x [rad/s]", "/imu/boom", "boom_imu.gyro_x"),
+                                  ("fluid_pressure [Pa]", "/pressure/boom_cylinder/p_head", "boom_cylinder.p_head"),
+                                  ("data", "/boom/rod_pressure", "boom_cylinder.p_rod"),
+                                  ("boom angle [deg]", "/stick/head_pressure", "boom.q")):
+        named = found.naming(field, topic)
+        assert {name for name in found.channels if found.fit(name, named) == 2} == {channel}
 
 
 def test_a_file_with_the_channels_own_names_is_sure(machine, log, tmp_path):
@@ -169,7 +186,8 @@ def test_pressures_without_a_unit_have_one_in_common(machine, log, tmp_path):
     found = propose_map(foreign(log, tmp_path / "run.csv", names, boom_cylinder_p_rod=low), machine)
     assert {each.channel: (each.unit, each.sureness) for each in found.proposals if ".p_" in each.channel} == {
         channel: ("bar", "likely") for channel in FOREIGN if ".p_" in channel}
-    assert "all pressures without a unit together allow bar alone" in proposal(found, "boom_cylinder.p_rod").reason
+    reason = proposal(found, "boom_cylinder.p_rod").reason
+    assert "all columns of its kind without a unit together allow bar alone" in reason
 
 
 def test_pressures_that_no_hydraulic_machine_has_are_guesses(machine, log, tmp_path):
@@ -217,14 +235,13 @@ CRANE = ("slew", "main_boom", "outer_boom", "main_cylinder", "outer_cylinder")
     (CRANE, "Hauptarm Winkel [°]", "main_boom.q"), (CRANE, "Knickarm Winkel [°]", "outer_boom.q"),
     (CRANE, "Knickzylinder Druck Stange [bar]", "outer_cylinder.p_rod")])
 def test_what_people_call_a_part_is_what_the_machine_has(parts: tuple[str, ...], header: str, channel: str) -> None:
-    kinds = {"q": "m" if channel == "telescope.q" else "rad", "qd": "rad/s", "length": "m"}
-    named = naming(header, parts)
-    suffix = channel.rpartition(".")[2]
-    scores = {part: matched(f"{part}.{suffix}", named, kinds.get(suffix, "Pa")) for part in parts
-              if part.endswith(("cylinder", "motor")) == (suffix not in ("q", "qd"))}
+    found = names(*parts, **({"telescope.q": "m"} if channel == "telescope.q" else {}))
+    scores = {name: found.fit(name, found.naming(header)) for name in found.channels}
+    if channel == "telescope.q":
+        scores.pop("telescope_cylinder.length")  # which is as far out
     best = max(scores.values())
     assert best > 0
-    assert [part for part, score in scores.items() if score == best] == [channel.rpartition(".")[0]]
+    assert [name for name, score in scores.items() if score == best] == [channel]
 
 
 @pytest.mark.parametrize(("header", "channel"), [
@@ -233,4 +250,39 @@ def test_what_people_call_a_part_is_what_the_machine_has(parts: tuple[str, ...],
     ("Slew motor port A [kPa]", "swing_motor.p_a"), ("Dipper ram piston side psi", "stick_cylinder.p_head"),
     ("Stielzylinder Kolbenstangenseite bar", "stick_cylinder.p_rod")])
 def test_words_of_chambers(header, channel):
-    assert matched(channel, naming(header), "Pa") == 2
+    found = names("boom_cylinder", "stick_cylinder", "swing_motor")
+    assert found.fit(channel, found.naming(header)) == 2
+
+
+def test_an_inclination_is_never_sure_where_two_channels_may_be_it():
+    alone, both = names("boom"), names("boom", "boom_imu")
+    for header in ("boom tilt [deg]", "boom_pitch_deg", "Ausleger Neigung (°)"):
+        assert alone.fit("boom.q", alone.naming(header)) == 1
+        assert {both.fit(channel, both.naming(header)) for channel in ("boom.q", "boom_imu.pitch")} == {1}
+        upright = ChannelNames(alone.channels, frozenset({"boom"}))
+        assert upright.fit("boom.q", upright.naming(header)) == 0
+
+
+@pytest.mark.parametrize("quantity", spellings.SUFFIXES)
+def test_usual_spellings_are_proposed_and_none_is_wrong(quantity, tmp_path):
+    """A slice of the study `first_contact`, seeded."""
+    some = [each for each in spellings.spellings() if each.quantity == quantity]
+    for each in np.random.default_rng(47).choice(len(some), 2, replace=False):
+        right, wrong = spellings.proposed(some[each], tmp_path)
+        assert right, some[each]
+        assert not wrong, some[each]
+
+
+def test_a_line_to_fill_in_has_the_unit_of_the_file(machine, log, tmp_path):
+    names = FOREIGN | {"boom.q": ("Angle (°)", "deg", 180 / np.pi),
+                       "boom_cylinder.p_head": ("Druck 1 [bar]", "bar", 1e-5)}
+    found = propose_map(foreign(log, tmp_path / "run.csv", names), machine)
+    assert found.missing == {"boom.q": "deg", "boom_cylinder.p_head": "bar"}
+    assert '# "boom.q" = { column = "?", unit = "deg" }' in found.toml()
+
+
+def test_a_log_of_an_imu_has_its_units_by_gravity(tmp_path):
+    """Which every axis measures, and which the rates turn; also where no header states a unit."""
+    for spelling in spellings.spellings():
+        if spelling.unit == "none-dps" and not spelling.number:
+            assert spellings.proposed(spelling, tmp_path) == (True, False)

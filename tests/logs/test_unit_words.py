@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_words import naming
+from hydroopt.logs.column_words import ChannelNames
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.map_proposal import propose_map
-from hydroopt.logs.unit_words import SEVERAL, SPELLED, WORDS, header_of, units_of
+from hydroopt.logs.unit_words import header_of, spellings, units_of
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.model.model import Model
@@ -40,7 +40,8 @@ REAL = {
     "Drehrate [Grad/s]": "deg/s", "Boom rate °/s": "deg/s", "Rotation rate degrees per second": "deg/s",
     "Gyro X (dps)": "deg/s", "v / (mm/s)": "mm/s", "a [m/s²]": "m/s^2", "Engine Speed (RPM)": "rpm",
     "Drehzahl U/min": "rpm", "Kraft [kN]": "kN", "Moment Nm": "N*m", "Throttle Position (Percent)": "%",
-    "Kanal A [V]": "V", "Joystick mV": "mV", "Valve current (mA)": "mA",
+    "Gyro X (mdps)": "mdeg/s", "acc_x (mg)": "mg_0", "p_kbar": "kbar", "a [m/s**2]": "m/s^2", "v_radpersec": "rad/s",
+    "boomVelDegS": "deg/s", "Kanal A [V]": "V", "Joystick mV": "mV", "Valve current (mA)": "mA",
 }
 NONE = ("boom_max", "boom_min", "swing_a", "swing A", "swing_motor.p_a", "boom_u", "oil in", "boom_cap", "Head/Rod",
         "A/B", "Boom/Stick", "Boom P", "boom_head", "stick_rod", "P45", "timeStamp", "IAS", "Oil temp", "boom.q",
@@ -73,16 +74,19 @@ def test_several_meanings_stay_several_unless_the_name_tells() -> None:
     assert header_of("motor_torque_nm").units == ("N*m", "nm")
 
 
-@pytest.mark.parametrize("unit", [*WORDS, *SPELLED.values(), *(unit for units in SEVERAL.values() for unit in units)])
+@pytest.mark.parametrize("unit", [*spellings()["units"], *spellings()["units_as_written"].values()])
 def test_every_unit_of_the_table_is_one_and_stands_for_itself(unit: str) -> None:
     assert same_kind(unit, unit)
     assert unit in units_of(unit)
 
 
 def test_no_word_has_two_units_by_accident() -> None:
-    words = [word for words in WORDS.values() for word in words]
-    assert len(words) == len(set(words))
-    assert not set(words) & set(SEVERAL)
+    """Those of several differ in kind, or are degrees and gon."""
+    words = [word for words in spellings()["units"].values() for word in words.split()]
+    several = {word: units_of(word) for word in words if words.count(word) > 1}
+    assert several.pop("grad") == ("deg", "gon")
+    for units in several.values():
+        assert not any(same_kind(one, other) for one in units for other in units if one != other)
 
 
 @pytest.mark.parametrize("unit", sorted({unit for units in CHANNEL_UNITS.values() for unit in units} - {"1"}))
@@ -219,5 +223,6 @@ def test_a_gigaradian_is_refused():
 
 
 def test_the_time_alone_may_be_a_unit():
-    assert (naming("ms").words, naming("ms").units) == ({"time"}, ("ms",))
-    assert (naming("Sekunden").words, naming("Sekunden").units) == ({"time"}, ("s",))
+    for header, unit in (("ms", "ms"), ("Sekunden", "s")):
+        named = ChannelNames({}).naming(header)
+        assert (named.is_time, named.units) == (True, (unit,))
