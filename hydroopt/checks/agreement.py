@@ -56,7 +56,9 @@ class Agreement:
         ranges: share of samples beyond joint limits or too fast, weighted.
         rate: logarithm of the ratio of the sampling rate to the stated one, weighted.
         missed: RMS of each actuator's nominal error as a part of its RMS force, by actuator. At a passive joint nothing
-            is read, and errors of angles are as large as what is left: it takes no part in forces.
+            is read, and errors of angles are as large as what is left: it takes no part in forces, nor does a joint
+            that carries bodies which are missing or placeholders.
+        beyond: the same of what exceeds one standard deviation by the machine file's priors and sensors.
         gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
@@ -71,6 +73,7 @@ class Agreement:
     ranges: float
     rate: float
     missed: dict[str, float]
+    beyond: dict[str, float]
     gap: float
     outside: float
     hertz: float
@@ -86,14 +89,21 @@ class Agreement:
     @property
     def worst(self) -> float:
         """Nominal error of the actuator that is missed most."""
-        return max(self.missed.values())
+        return max(self.missed.values(), default=0.0)
+
+    @property
+    def refuted(self) -> float:
+        """The same of what priors and sensors do not explain."""
+        return max(self.beyond.values(), default=0.0)
 
     def words(self, other: Agreement) -> str:
         """In words what this reading agrees in better or worse than another; of forces, those that change most."""
-        actuator = max(self.missed, key=lambda name: abs(self.missed[name] - other.missed[name]))
-        missed = self.missed[actuator]
-        error = f"{100 * missed:.0f} %" if missed < MANIFOLD else f"a factor of {float(f'{missed:.2g}'):,.0f}"
-        said = [f"misfit {self.score:.3g}, nominal forces of {actuator} off by {error}"]
+        said = [f"misfit {self.score:.3g}"]
+        if self.missed:
+            actuator = max(self.missed, key=lambda name: abs(self.missed[name] - other.missed[name]))
+            missed = self.missed[actuator]
+            error = f"{100 * missed:.0f} %" if missed < MANIFOLD else f"a factor of {float(f'{missed:.2g}'):,.0f}"
+            said.append(f"nominal forces of {actuator} off by {error}")
         if abs(self.gap - other.gap) > 1e-3:
             said.append(f"lengths off by {1e3 * self.gap:.0f} mm")
         if abs(self.outside - other.outside) > 0.005:
@@ -145,12 +155,12 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     force = np.where(known, force, nominal)  # a force that is not measured contradicts nothing
     # else dry friction changes its sign within the window
     steady = known & (np.abs(qd) > np.abs(qdd) * step * window / 2)[:, model.dynamics.kept]
-    squares, priors, by_noise, levels, missed = _force_terms(
+    squares, priors, by_noise, levels, missed, beyond = _force_terms(
         model, log, K, np.stack([force, nominal]), steady, float(np.sqrt(np.sum(kernel[0] ** 2))))
     gap, lengths = _length_terms(model, log, angles, rows)
     outside, ranges = _range_terms(model, q, qd)
     rate = _rate_term(model, log, 1 / step)
-    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, by_noise,
+    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, beyond, gap, outside, 1 / step, by_noise,
                      _reversals(qd))
 
 
@@ -203,12 +213,14 @@ def _rows(log: Log, window: int) -> Array:
 
 
 def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],
-                 averaged: float) -> tuple[Array, float, float, float, dict[str, float]]:
-    """Weighted squares of forces and of priors, noise's part in them, the term of levels, relative errors.
+                 averaged: float) -> tuple[Array, float, float, float, dict[str, float], dict[str, float]]:
+    """Weighted squares of forces and of priors, noise's part in them, the term of levels, relative errors, and what of
+    these priors and sensors do not explain.
 
     `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
     """
-    read = [k for k, balance in enumerate(model.machine.balances) if balance.actuators]
+    unstated = model.joints_without_nominal_forces
+    read = [k for k, each in enumerate(model.machine.balances) if each.actuators and each.joint not in unstated]
     K, steady, (force, nominal) = K[:, read], steady[:, read], both[:, :, read]
     parameters, p = model.parameters, len(model.parameters)
     known = np.diag(parameters.information) > 0
@@ -220,7 +232,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     rms = np.sqrt(np.mean(force**2, axis=0))
     expected = np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))
     sigma = np.hypot(stated, MODEL_ERROR * np.minimum(expected, LARGEST * rms))  # else what is far too large fits
-    sigma = np.maximum(sigma, 1e-9 * max(1.0, float(np.max(size))))
+    sigma = np.maximum(sigma, 1e-9 * max(1.0, float(np.max(size, initial=0.0))))
     weight = steady / sigma
     rows, right = (K * weight[:, :, None]).reshape(-1, p), ((force - nominal) * weight).ravel()
     scale = np.sqrt(np.diag(covariance))
@@ -233,9 +245,12 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     squares = np.maximum(np.sum(left**2, axis=0), noise)  # silence agrees no better than noise
     allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
-    missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
-    names = (model.machine.balances[k].name for k in read)
-    return squares, priors, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
+    error = np.sqrt(np.mean((force - nominal) ** 2, axis=0))
+    missed, beyond = (each / np.maximum(rms, 1e-12)
+                      for each in (error, np.maximum(error - np.hypot(spread, stated), 0.0)))
+    names = [model.machine.balances[k].name for k in read]
+    return (squares, priors, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True)),
+            dict(zip(names, beyond.tolist(), strict=True)))
 
 
 def _bounded(H: Array, g: Array, lower: Array) -> Array:

@@ -142,16 +142,16 @@ def _scored(model: Model, log: Log, now: Agreement | None,
                and (now is None or (_far_better(made, now) and not _far_better(now, made)
                                     and (now.reversals >= FEW or _seen(made, now)) and _worse_in_nothing(made, now)
                                     and (not _modest(one) or _forces_agree(made, now))))]
-    return sorted(results, key=lambda each: (each[2].worst > IMPOSSIBLE, each[0]))
+    return sorted(results, key=lambda each: (each[2].refuted > IMPOSSIBLE, each[0]))
 
 
 def _far_better(made: Agreement, now: Agreement) -> bool:
     """Whether another reading agrees far better in all, or with one actuator if what is left is the model's error.
 
-    Nominal forces far above those measured refute a reading, though wide priors may explain their difference.
+    Nominal forces far above those measured refute a reading where the machine file's priors do not explain it.
     """
-    if (made.worst > IMPOSSIBLE) != (now.worst > IMPOSSIBLE):
-        return now.worst > IMPOSSIBLE
+    if (made.refuted > IMPOSSIBLE) != (now.refuted > IMPOSSIBLE):
+        return now.refuted > IMPOSSIBLE
     if made.score <= min(BETTER * now.score, now.score - LOWER):
         return True
     error = np.maximum(made.squares / SAMPLES, 1.0)

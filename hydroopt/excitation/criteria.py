@@ -97,7 +97,7 @@ def design_parameters(model: Model, sigma: Array, *, focus: Sequence[str] = (), 
     structure = structural(model)
     if not structure.basis:
         raise IdentifiabilityError("no motion identifies a parameter of this machine", where=model.machine.name,
-                                   remedy="state bodies or friction of what moves in the machine file")
+                                   remedy="state the 'body' of its links and the 'friction' of its drives")
     columns = np.array(structure.basis)
     parameters = model.parameters
     scale = parameters.scale[columns]

@@ -26,6 +26,7 @@ from hydroopt.notebook_card import Card, Drawn
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
+from hydroopt.parameters.unstated_bodies import joints_of_unstated_bodies
 from hydroopt.spatial.inertia import Array
 
 
@@ -89,6 +90,11 @@ class Model(Drawn):
         """Bodies whose numbers are parameters, by owner."""
         return dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia,
                                          calibrator=self.calibrator)
+
+    @cached_property
+    def joints_without_nominal_forces(self) -> frozenset[str]:
+        """Joints of q whose nominal forces rest on bodies that are missing or placeholders."""
+        return joints_of_unstated_bodies(self.machine)
 
     @cached_property
     def scene_graph(self) -> SceneGraph:

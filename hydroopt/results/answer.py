@@ -22,7 +22,7 @@ from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Use, Verdict
-from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
+from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS, UNSTATED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,9 +101,10 @@ class Answer(Drawn, ABC):
     def verdict(self) -> Verdict:
         """What it can be used for, what not, and what to do next."""
         against = self.contradictions
-        checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in against) if remedy)
+        first = (*of_kind(against, *REFUTATIONS), *of_kind(self.diagnostics, *UNSTATED), *against)
+        checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in first) if remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
-                       against[0].text if against else "", self.uses, (*checks, *self.next_steps), self.headline)
+                       first[0].text if first else "", self.uses, (*checks, *self.next_steps), self.headline)
 
     @property
     def headline(self) -> str:

@@ -12,6 +12,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import LONGEST
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
+from hydroopt.parameters.unstated_bodies import LONG, link_sizes, reach
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.readable import readable
 from hydroopt.results.wording import Kind
@@ -33,8 +34,6 @@ LEAST_ARM = 0.02
 """Lever arm [m] below which a few millimetres at a pin change a cylinder's force by much."""
 FAR = 3.0
 """Distance of a centre of mass in lengths of its link, or in halves of all links together."""
-LONG = 0.1
-"""Length [m] from which on a link without a body is no mere axis."""
 POSTURES = 100
 """Random postures in which the machine is held, beside the corners of its ranges."""
 CORNERS = 4
@@ -58,7 +57,7 @@ def implausible_sizes(model: Model) -> Iterator[Diagnostic]:
             yield _found(f"{each.name}'s relief_pressure", readable(each.relief_pressure, "Pa"),
                          "valves relieve 5 to 1000 bar", "Correct its unit")
     yield from _ranges(machine)
-    yield from _links(model)
+    yield from _links(machine)
     yield from _held(model)
 
 
@@ -96,46 +95,20 @@ def _ranges(machine: Machine) -> Iterator[Diagnostic]:
                 f"If these numbers are radians, write them as \"{lower:.4g} rad\" and \"{upper:.4g} rad\""))
 
 
-def _links(model: Model) -> Iterator[Diagnostic]:
-    machine, geometry = model.machine, model.geometry
-    lengths = {link.name: float(np.linalg.norm(np.asarray(geometry.far_end(link.name).origin, dtype=float)))
-               for link in machine.links}
-    reach = sum(lengths.values()) + sum(max(map(abs, machine.link(joint).joint.range)) for joint in machine.joints
-                                        if machine.link(joint).joint.type == "prismatic")
-    pins = {link.name: [0.0] for link in machine.links}
-    for part in machine.pinned:
-        for end in (part.barrel, part.rod):
-            pins.setdefault(end.link, []).append(math.hypot(*end.pin))
+def _links(machine: Machine) -> Iterator[Diagnostic]:
+    sizes, half = link_sizes(machine), reach(machine) / 2
     for link in machine.links:
-        longest = max(lengths[link.name], *pins[link.name])
+        longest = sizes[link.name]
         if longest > LONGEST:
             yield _found(f"{link.name}'s length, or the distance of a pin on it", f"{longest:.4g} m",
                          "links have up to 50 m", "Correct its unit")
         if link.body is None or link.body.m <= 0:
             continue
         com = math.hypot(*link.body.phi[1:4]) / link.body.m
-        if com > FAR * max(longest, reach / 2, LONG):
+        if com > FAR * max(longest, half, LONG):
             yield _found(f"{link.name}'s centre of mass", f"{com:.4g} m from its frame's origin", (
                 f"the link is {longest:.2g} m long"),
                 "Correct its unit, or state 'mc' where mass times distance is meant")
-    yield from _weightless(machine, lengths)
-
-
-def _weightless(machine: Machine, lengths: dict[str, float]) -> Iterator[Diagnostic]:
-    """Links between joints that weigh nothing though forces are measured there."""
-    efforts = {channel for each in machine.measured_actuators for channel in each.effort_factors}
-    read = {channel for sensor in machine.sensors for channel in sensor.channels}
-    if not efforts & read and not any(link.body for link in machine.links):
-        return  # a description for geometry alone
-    for joint in machine.joints:
-        rigid = {joint}
-        for link in machine.links:
-            if link.parent in rigid and link.joint.type == "locked":
-                rigid.add(link.name)
-        bodies = any(machine.link(name).body for name in rigid)
-        if joint not in machine.base_joints and not bodies and sum(lengths[name] for name in rigid) > LONG:
-            yield _found(f"{joint}'s mass", "not stated", "the actuators carry it", (
-                "State a [links.body] with mass and centre of mass, if need be as a guess with a wide sigma"))
 
 
 def _held(model: Model) -> Iterator[Diagnostic]:

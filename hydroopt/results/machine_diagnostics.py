@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
 from hydroopt.machine.cylinder_checks import straight_and_wide
 from hydroopt.machine.idle_linkages import idle_linkages
+from hydroopt.machine.machine_file import ROBOT_SUFFIXES
 from hydroopt.machine.mechanism import branches
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.machine.posture import turns
 from hydroopt.machine.unmeasured_joints import unmeasured_joints
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.parameters.unstated_bodies import unstated_bodies
+from hydroopt.results.diagnostic import Diagnostic, listed
 from hydroopt.results.implausible_sizes import implausible_sizes
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
@@ -33,8 +38,28 @@ def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
     >>> machine_diagnostics(ho.Model(ho.load_machine("cat215b")))
     ()
     """
-    return (*_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model), *implausible_sizes(model),
-            *_straight_cylinders(model), *_idle_linkages(model), *_unclear_postures(model))
+    return (*_unstated(model), *_impossible_bodies(model), *_idle_gravity(model), *_unmeasured(model),
+            *implausible_sizes(model), *_straight_cylinders(model), *_idle_linkages(model), *_unclear_postures(model))
+
+
+def _unstated(model: Model) -> Iterator[Diagnostic]:
+    """Bodies that are missing or placeholders, and missing friction; a machine of geometry alone needs neither."""
+    machine, kinds = model.machine, model.parameters.kinds
+    read = {channel for sensor in machine.sensors for channel in sensor.channels}
+    efforts = {channel for each in machine.measured_actuators for channel in each.effort_factors}
+    if not machine.balances or (machine.sensors and not kinds and not efforts & read):
+        return
+    owners: dict[str, list[str]] = {}
+    for owner, why in unstated_bodies(machine).items():
+        owners.setdefault(why, []).append(owner)
+    if owners:
+        robot = Path(machine.source).suffix in ROBOT_SUFFIXES
+        yield Diagnostic(Kind.UNSTATED_BODIES, tuple(chain.from_iterable(owners.values())), {
+            "found": "; ".join(f"{listed(names)} {why}" for why, names in owners.items()),
+            "what": "mass, origin and inertia" if robot else "m, com and inertia_com",
+            "where": f"in <inertial> of {Path(machine.source).name}" if robot else "in its 'body' table"})
+    if not any(kind.is_friction or kind is ParameterKind.COEFFICIENT for kind in kinds):
+        yield Diagnostic(Kind.NO_FRICTION, machine.joints)
 
 
 def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:

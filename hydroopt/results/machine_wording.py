@@ -5,6 +5,12 @@ from __future__ import annotations
 from hydroopt.results.wording import Kind, Words
 
 MACHINE_WORDS: dict[Kind, Words] = {
+    Kind.UNSTATED_BODIES: Words(
+        "Bodies are missing or placeholders, so that nominal forces are not the machine's: {found}.",
+        "State {what} of each {where}, if need be as a guess with its sigma."),
+    Kind.NO_FRICTION: Words(
+        "No friction is stated of {subject} or their actuators, so that the model has none.",
+        "Identify with --friction coulomb+viscous, or state coulomb and viscous in the 'friction' of drives or joints."),
     Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
         "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
         "moment of inertia is negative or exceeds the sum of the other two.",

@@ -193,7 +193,7 @@ class Verdict:
     Attributes:
         title: machine and job.
         status: of the answer.
-        cause: why it is not ok, in a sentence.
+        cause: why it is not ok, or what the machine file lacks, in a sentence.
         finding: the answer in a sentence, where the job asks a question, such as whether anything changed.
         uses: by purpose and part of the machine.
         next_steps: the most useful first.

@@ -40,6 +40,8 @@ class Kind(StrEnum):
     SHORT_STRETCHES = "log split into short stretches"
     FORCE_NOT_MEASURED = "force not measured in a log"
     PRESSURE_NOT_MEASURED = "pressure not measured in a log"
+    UNSTATED_BODIES = "bodies not stated"
+    NO_FRICTION = "no friction stated"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
     GRAVITY_IDLE = "gravity does no work"
     UNMEASURED_JOINT = "forces at a joint not measured"
@@ -224,6 +226,8 @@ REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
                          Kind.SENSOR_STUCK, Kind.SENSOR_HELD, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
+UNSTATED = frozenset({Kind.UNSTATED_BODIES, Kind.NO_FRICTION})
+"""Kinds of what the machine file lacks: a next step before all others."""
 CONTRADICTIONS = OF_LOGS | {
     Kind.SHORT_STRETCHES, Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
     Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LATE_POSITIONS, Kind.LACK_OF_FIT,

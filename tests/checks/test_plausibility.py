@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -132,6 +133,57 @@ def test_sound_logs_of_other_truths_raise_nothing(name: str) -> None:
     for seed in range(10):
         motion = random_trajectory(model, duration=16.0, rate=50.0, seed=seed)
         assert examine(model, simulate(model, motion, random_truth(model, seed), seed=seed)) == ()
+
+
+ARM = """
+name = "arm"
+orientation = ["90 deg", "0 deg", "0 deg"]
+sensors = [{ channels = ["lift.q", "reach.q"], accuracy = "0.05 deg" },
+           { channels = ["lift.tau", "reach.tau"], accuracy = "20 N*m" }]
+drives = [{ name = "lift_drive", joint = "lift" },
+          { name = "reach_drive", joint = "reach", friction = { coulomb = "FRICTION", viscous = "100 N*m*s/rad" } }]
+[[links]]
+name = "lift"
+joint = { type = "revolute", a = "2.8 m", lower = "0 rad", upper = "1 rad" }
+BODY 320 12 260 290
+[[links]]
+name = "reach"
+joint = { type = "revolute", lower = "-2 rad", upper = "-0.4 rad" }
+BODY 150 9 140 145
+"""
+
+
+def arm(factor: float, sigma: str = "", friction: str = "0 N*m") -> Model:
+    """The arm with bodies so many times as heavy, or with placeholders in their place."""
+    def body(found: re.Match[str]) -> str:
+        m, *moments = (factor * float(word) for word in found[1].split()) if factor else (0.03, 1.0, 1.0, 1.0)
+        values = {"m": f"'{m} kg'", "com": f"['{1.2 * bool(factor)} m', '0 m', '0 m']", "inertia_com": str([
+            f"{value} kg*m^2" for value in (moments[0], 0, 0, moments[1], 0, moments[2])])}
+        unit = {"m": "kg", "com": "m", "inertia_com": "kg*m^2"}
+        known = {key: f", sigma = '{sigma if '%' in sigma else f'{sigma} {unit[key]}'}'" * bool(sigma) for key in unit}
+        return "body = { " + ", ".join(f"{key} = {{ value = {values[key]}{known[key]} }}" for key in unit) + " }"
+
+    return Model(read_machine(re.sub("BODY (.*)", body, ARM).replace("FRICTION", friction)))
+
+
+@pytest.fixture(scope="module")
+def rubbing() -> Log:
+    """A log of the arm with friction that its models lack."""
+    truth = arm(1.0, friction="900 N*m")
+    return simulate(truth, random_trajectory(truth, duration=20.0, rate=25.0, seed=1), seed=1)
+
+
+@pytest.mark.parametrize(("factor", "sigma"), [(9.0, "100 %"), (0.0, ""), (0.0, "500")])
+def test_a_log_that_the_stated_sigmas_explain_is_not_accused(rubbing: Log, factor: float, sigma: str) -> None:
+    """Nominal forces nine times too large within a sigma of 100 %, and placeholders, refute no reading of forces."""
+    assert not of_kind(examine(arm(factor, sigma), rubbing), Kind.LOG_MISREAD)
+
+
+@pytest.mark.parametrize("sigma", ["", "10 %"])
+def test_a_log_beyond_the_sigmas_is_accused(rubbing: Log, sigma: str) -> None:
+    beyond = replace(rubbing, channels=scaled(lambda name: name.endswith(".tau"), 1e3)(rubbing.channels))
+    accused = of_kind(examine(arm(1.0, sigma), beyond), Kind.LOG_MISREAD)
+    assert [each.subject for each in accused] == [("lift.tau", "reach.tau")]
 
 
 @pytest.mark.filterwarnings("error")

@@ -25,6 +25,7 @@ from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
@@ -95,7 +96,7 @@ class LogCheck(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file, what looks wrong in the logs, and what the motion does not excite."""
-        return (*self.rough.of_logs, *uncertain_positions(self.rough), *self._findings(), *self._not_excited())
+        return (*machine_diagnostics(self.problem.model), *self.rough.of_logs, *uncertain_positions(self.rough), *self._findings(), *self._not_excited())
 
     def _findings(self) -> Iterator[Diagnostic]:
         yield from forces_not_measured(self.problem.model, self.problem.experiments)

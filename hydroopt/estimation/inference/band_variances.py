@@ -214,7 +214,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
     R = np.sqrt(w) * channel.triangle
     left, singular, axes = np.linalg.svd(R[: len(own), :-1] * own, full_matrices=False)
     value = left.T @ R[: len(own), -1]
-    sound = singular > FAINT * singular[0]
+    sound = singular > FAINT * np.max(singular, initial=0.0)  # of a channel without columns: none
     onto = own[:, None] * axes[sound].T / singular[sound]
     parts = [w**2 * variance * _gram(rows[:, :-1] @ onto)
              for variance, rows in zip(spectrum.variance, channel.rows, strict=True)]

@@ -102,7 +102,10 @@ def interior(starts: Iterable[Array], root: Array, right: Array, matrices: Calla
         lowest = objective(z)
         for _ in range(STEPS):
             gradient, curvature = derivatives(z)
-            step = -np.linalg.solve(curvature, gradient)
+            try:
+                step = -np.linalg.solve(curvature, gradient)
+            except np.linalg.LinAlgError:  # where data and priors lie apart by more digits than numbers have
+                break
             decrement, part = -float(gradient @ step), 1.0
             if decrement < DECREMENT:
                 return z, True

@@ -11,6 +11,7 @@ from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
 UNIMPROVED = 0.9
@@ -27,7 +28,7 @@ def excitation_diagnostics(problem: ExcitationProblem, accuracy: ExpectedAccurac
         stopped: what cut the search short, empty if nothing did.
         better_random: number of random motions the best of which is better; 0 if none is.
     """
-    return (*_search(stopped=stopped, better_random=better_random), *_unlimited(problem), *_unstated(problem),
+    return (*machine_diagnostics(problem.information.model), *_search(stopped=stopped, better_random=better_random), *_unlimited(problem), *_unstated(problem),
             *_biased(accuracy), *_unimproved(problem, accuracy))
 
 
