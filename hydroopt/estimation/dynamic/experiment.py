@@ -357,8 +357,8 @@ def refuse_nothing_to_determine(model: Model) -> None:
     if not len(model.parameters):
         raise ProblemError("the machine file states neither bodies nor friction, so that no log determines anything",
                            where=model.machine.name, remedy=(
-                               "state m, com and inertia_com in the 'body' of its links, and coulomb and viscous in the "
-                               "'friction' of its drives"))
+                               "state m, com and inertia_com in the 'body' of its links, and the 'friction' of its "
+                               "drives"))
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:

@@ -96,7 +96,8 @@ class LogCheck(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file, what looks wrong in the logs, and what the motion does not excite."""
-        return (*machine_diagnostics(self.problem.model), *self.rough.of_logs, *uncertain_positions(self.rough), *self._findings(), *self._not_excited())
+        return (*machine_diagnostics(self.problem.model), *self.rough.of_logs, *uncertain_positions(self.rough),
+                *self._findings(), *self._not_excited())
 
     def _findings(self) -> Iterator[Diagnostic]:
         yield from forces_not_measured(self.problem.model, self.problem.experiments)

@@ -28,8 +28,8 @@ def excitation_diagnostics(problem: ExcitationProblem, accuracy: ExpectedAccurac
         stopped: what cut the search short, empty if nothing did.
         better_random: number of random motions the best of which is better; 0 if none is.
     """
-    return (*machine_diagnostics(problem.information.model), *_search(stopped=stopped, better_random=better_random), *_unlimited(problem), *_unstated(problem),
-            *_biased(accuracy), *_unimproved(problem, accuracy))
+    return (*machine_diagnostics(problem.information.model), *_search(stopped=stopped, better_random=better_random),
+            *_unlimited(problem), *_unstated(problem), *_biased(accuracy), *_unimproved(problem, accuracy))
 
 
 def _search(*, stopped: str, better_random: int) -> Iterator[Diagnostic]:
