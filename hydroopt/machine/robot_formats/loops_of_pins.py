@@ -7,6 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hydroopt.errors import MachineError
+from hydroopt.machine.closures import closures
+from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.links import Link
+from hydroopt.machine.loops import Loop
+from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, TreePin
 from hydroopt.spatial.inertia import Array
 
@@ -27,15 +33,19 @@ def around(tree: RobotTree, pin: TreePin) -> list[TreeJoint]:
             if (name in ways[0]) != (name in ways[1]) and joint.kind != "fixed"]
 
 
-def stated_loops(tree: RobotTree, names: Mapping[str, str], inside: Mapping[str, Placed],
+def stated_loops(tree: RobotTree, tables: Mapping[str, Any], names: Mapping[str, str], inside: Mapping[str, Placed],
                  axes: Mapping[str, Placed]) -> list[dict[str, Any]]:
-    """Tables of loops.
+    """Tables of loops; each states where the joints that determine it, and those that it determines, stand.
 
     Args:
         tree: the robot.
+        tables: of the machine's links and couplings.
         names: of the machine's links by joint.
         inside: the machine's link that each link of the tree is part of, with its pose in that link's frame P.
         axes: of each joint what carries it, and its frame there; all of it is used with every joint at zero.
+
+    Raises:
+        MachineError: the joints that nothing drives are not those that the loops determine.
     """
     loops: list[dict[str, Any]] = []
     for pin in tree.pins:
@@ -44,25 +54,28 @@ def stated_loops(tree: RobotTree, names: Mapping[str, str], inside: Mapping[str,
                                    for each, point in zip(pin.links, pin.points, strict=True))
         if link == "base":
             link, at, to, there = to, there, link, at
-        loop: dict[str, Any] = {"name": _unused(pin.name, {*names.values(), *(each["name"] for each in loops)}),
-                                "link": link, "pin": _lengths(at), "to": {"link": to, "pin": _lengths(there)},
-                                "closed_by": "pin" if _in_a_plane(joints, axes) else "ball", "posture": {}}
-        for joint in _moving(tree, joints):
-            unit = "m" if joint.kind == "prismatic" else "rad"
-            loop["posture"][names[joint.name]] = f"{tree.posture.get(joint.name, 0.0)!r} {unit}"
-        loops.append(loop)
+        loops.append({"name": _unused(pin.name, {*names.values(), *(each["name"] for each in loops)}),
+                      "link": link, "pin": _lengths(at), "to": {"link": to, "pin": _lengths(there)},
+                      "closed_by": "pin" if _in_a_plane(joints, axes) else "ball",
+                      "posture": {names[joint.name]: _place(tree, joint) for joint in joints}})
+    joints_of = {names[joint.name]: joint for joint in tree.joints.values() if joint.name in names}
+    try:
+        links, closed, coupled = ([kind.model_validate(table, context={"from_file": True}) for table in of]
+                                  for kind, of in ((Link, tables["links"]), (Loop, loops),
+                                                   (Coupling, tables.get("couplings", ()))))
+        for closure in closures(links, closed, coupled):
+            for loop in loops:
+                if loop["name"] in {each.name for each in closure.statements}:
+                    loop["posture"] = {name: _place(tree, joints_of[name])
+                                       for name in (*closure.follows, *closure.joints)}
+    except ImpossibleError as error:
+        raise MachineError(error.what, where=tree.file, remedy=error.remedy) from None
     return loops
 
 
-def _moving(tree: RobotTree, joints: list[TreeJoint]) -> list[TreeJoint]:
-    """Joints, and in the place of those that mimic others the latter."""
-    found: dict[str, TreeJoint] = {}
-    for joint in joints:
-        at = joint
-        while at.mimic is not None:
-            at = tree.joints[at.mimic.master]
-        found[at.name] = at
-    return list(found.values())
+def _place(tree: RobotTree, joint: TreeJoint) -> str:
+    """Where a joint stands as the loops are closed."""
+    return f"{tree.posture.get(joint.name, 0.0)!r} {'m' if joint.kind == 'prismatic' else 'rad'}"
 
 
 def _in_a_plane(joints: list[TreeJoint], axes: Mapping[str, Placed]) -> bool:

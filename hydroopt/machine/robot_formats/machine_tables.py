@@ -118,7 +118,7 @@ class _Conversion:
         inside = {link: Placed(self.names[at.carrier], inverse(self.ends[at.carrier].near_end()) @ at.pose)
                   for link, at in self.poses.items()}
         if tree.pins and not tip and not self.sidecar.stated:
-            tables["loops"] = stated_loops(tree, self.names, inside, self.axes)
+            tables["loops"] = stated_loops(tree, tables, self.names, inside, self.axes)
         lost = [*tree.lost, *(f"the loop '{pin.name}' is open" for pin in tree.pins if tip)]
         lost += [f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
                  for joint in self.held if joint.mimic]
