@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hydroopt.cli.options import MachineOrFolder, ParameterSetName, Quiet
-from hydroopt.cli.terminal import echo
+from hydroopt.cli.terminal import echo, print_table
 from hydroopt.errors import MachineError, ProblemError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def convert(
     from hydroopt.files import write_files
     from hydroopt.input_file import is_directory
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES, load_machine
-    from hydroopt.machine.robot_formats.reading import read_robot
+    from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
     from hydroopt.machine.robot_formats.writing import robot_files
 
     robot = read_robot(machine, tip=tip) if Path(machine).suffix in ROBOT_SUFFIXES else None
@@ -61,6 +61,8 @@ def convert(
             echo(f"not in {Path(machine).name}'s machine: {lost}")
         for lost in written.lost:
             echo(f"not in {target.name}: {lost}")
+        if robot and not robot.rest:
+            print_table(FRAMES, robot.frames)
 
 
 def _on_cylinders(robot: RobotFile, machine: str, file: Path | None,

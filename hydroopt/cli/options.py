@@ -37,7 +37,7 @@ def _machines(incomplete: str) -> list[str]:
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", autocompletion=_machines, help=(
-        "A bundled machine's name, or a .toml, .urdf or .xml (MJCF) file."))]
+        "A bundled machine's name, or a .toml, .urdf, .xml (MJCF) or .sdf file."))]
 MachineOrFolder = Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
     "A machine, or the directory that identify or calibrate wrote."))]
 ParameterSetName = Annotated[str | None, typer.Option(

@@ -30,6 +30,8 @@ def show(
     motion: Annotated[Path | None, typer.Option("--motion", metavar="LOG", help=(
         "Log whose joint positions are followed, such as excite's trajectory.csv; what IMUs determine is that of this "
         "motion, or of a random one if not given."))] = None,
+    frames: Annotated[bool, typer.Option("--frames", help=(
+        "Of a robot file, show where the frame of each link is in the frame that the robot file has of it."))] = False,
     everything: Annotated[bool, typer.Option("--all", help=(
         "Show every channel and parameter, and what each stage of the calibration identifies."))] = False,
     parameter_set: ParameterSetName = None,
@@ -47,6 +49,9 @@ def show(
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.simulation.reference_motion import reference_motion
 
+    if frames:
+        _frames(machine, as_json=as_json)
+        return
     described = load_machine(machine, parameter_set=parameter_set)
     if hydraulics:
         _hydraulics(described, output, as_json=as_json)
@@ -71,6 +76,21 @@ def show(
         console.print(line, soft_wrap=everything, markup=False, highlight=False)
     if output is not None:
         echo(f"{output / 'machine.html'}")
+
+
+def _frames(machine: str, *, as_json: bool) -> None:
+    from hydroopt.errors import ProblemError
+    from hydroopt.machine.machine_file import ROBOT_SUFFIXES
+    from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
+
+    if Path(machine).suffix not in ROBOT_SUFFIXES:
+        raise ProblemError("its frames are those of no robot file", where=machine,
+                           remedy=f"name the {', '.join(ROBOT_SUFFIXES[:3])} file that it was converted from")
+    rows = read_robot(machine).frames
+    if as_json:
+        echo(json.dumps(rows, indent=1))
+    else:
+        print_table(FRAMES, rows)
 
 
 def _tables(facts: dict[str, Any], *, everything: bool) -> dict[str, list[dict[str, Any]]]:

@@ -45,8 +45,8 @@ from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError
 
-ROBOT_SUFFIXES = (".urdf", ".xml")
-"""Endings of robot files."""
+ROBOT_SUFFIXES = (".urdf", ".xml", ".sdf", ".xacro")
+"""Endings of robot files; a template of xacro is none, and named in its refusal."""
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 _VECTOR = re.compile(r"\[\n((?: +[^\[\]\n]+,\n)+) *\]")
 
@@ -61,8 +61,8 @@ def bundled() -> tuple[str, ...]:
 
 
 def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: str | None = None) -> Machine:
-    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file or a robot's ``.urdf`` or
-    ``.xml`` (MJCF).
+    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file or a robot's ``.urdf``,
+    ``.xml`` (MJCF) or ``.sdf``.
 
     Args:
         machine: name or path, also of the folder that a command wrote with the calibrated machine.
@@ -95,7 +95,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
         return _loaded(load_machine(machines[0], parameter_set=parameter_set), name)
     if path.suffix != ".toml":
         close = get_close_matches(name, bundled(), 2)
-        raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
+        raise MachineError(f"this is neither a bundled machine nor a .toml or {', '.join(ROBOT_SUFFIXES[:3])} file",
                            where=name, remedy=f"did you mean {' or '.join(close)}" if close else
                            "name a .toml file, or one of the machines that 'hydroopt models' lists")
     text = read_text(path, MachineError, noun="machine file")

@@ -15,8 +15,6 @@ from hydroopt.spatial.inertia import Array
 
 LONG = 0.1
 """Length [m] from which on a link without a body is no mere axis."""
-ROUNDED = 1e-6
-"""Part of moments of inertia by which they may differ where they are one number, rounded."""
 
 
 def unstated_bodies(machine: Machine) -> dict[str, str]:
@@ -84,14 +82,14 @@ def _placeholders(machine: Machine) -> Iterator[tuple[str, str]]:
         owner: link for link, owners in carried(machine).items() for owner in owners}
     for owner, owned in found.items():
         m, moments = owned.body.m, _central_moments(owned)
-        size = max(sizes.get(ends.get(owner, ""), 0.0), half, LONG)
+        size = max(sizes.get(ends.get(owner, ""), 0.0), half, math.hypot(*owned.body.phi[1:4]) / m, LONG)
         if unknown:
             yield owner, f"of {m:.3g} kg with a larger sigma"
         elif all(_note(machine, owned, *keys).sigma for keys in (("m",), ("com", "mc"), ("inertia_com", "inertia"))):
             continue
         elif len(found) > 1 and len(masses) == 1:
             yield owner, f"of {m:.3g} kg, all alike"
-        elif moments[2] - moments[0] <= ROUNDED * moments[2]:
+        elif np.allclose(moments, moments[2], atol=0.0):
             yield owner, "with three equal moments of inertia"
         elif m * size**2 < moments[2] <= moments[0] + moments[1]:  # else it is no body at all
             yield owner, f"with a radius of gyration beyond {size:.2g} m"

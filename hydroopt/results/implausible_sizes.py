@@ -102,7 +102,8 @@ def _links(machine: Machine) -> Iterator[Diagnostic]:
         if longest > LONGEST:
             yield _found(f"{link.name}'s length, or the distance of a pin on it", f"{longest:.4g} m",
                          "links have up to 50 m", "Correct its unit")
-        if link.body is None or link.body.m <= 0:
+        ends = longest == 0 and not any(each.parent == link.name for each in machine.links)  # its length is not stated
+        if link.body is None or link.body.m <= 0 or ends:
             continue
         com = math.hypot(*link.body.phi[1:4]) / link.body.m
         if com > FAR * max(longest, half, LONG):

@@ -53,11 +53,12 @@ def _unstated(model: Model) -> Iterator[Diagnostic]:
     for owner, why in unstated_bodies(machine).items():
         owners.setdefault(why, []).append(owner)
     if owners:
-        robot = Path(machine.source).suffix in ROBOT_SUFFIXES
+        file = Path(machine.source.strip("'"))
+        robot = file.suffix in ROBOT_SUFFIXES
         yield Diagnostic(Kind.UNSTATED_BODIES, tuple(chain.from_iterable(owners.values())), {
             "found": "; ".join(f"{listed(names)} {why}" for why, names in owners.items()),
             "what": "mass, origin and inertia" if robot else "m, com and inertia_com",
-            "where": f"in <inertial> of {Path(machine.source).name}" if robot else "in its 'body' table"})
+            "where": f"in <inertial> of {file.name}" if robot else "in its 'body' table"})
     if not any(kind.is_friction or kind is ParameterKind.COEFFICIENT for kind in kinds):
         yield Diagnostic(Kind.NO_FRICTION, machine.joints)
 

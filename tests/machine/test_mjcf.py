@@ -120,7 +120,8 @@ def test_joints_references_springs_and_mimics(write) -> None:
     assert machine.drives[3].rotor_inertia == pytest.approx(0.02 * (1 + 0.8**2))
     assert read_machine(dump_machine(machine)) == machine
     assert read_robot(path).lost == ("the control laws of actuators are left out: their forces drive",
-                                     "4 shapes and their contacts are left out")
+                                     "4 shapes and their contacts are left out",
+                                     "the mass of base is left out: it stands still")
 
 
 def test_a_joint_without_an_actuator_is_passive(write) -> None:

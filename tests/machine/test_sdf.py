@@ -18,7 +18,7 @@ from hydroopt.machine.robot_formats.writing import robot_files
 
 def tree_of(text: str):
     """Links and joints of an SDF, each link in the frame of the joint before it."""
-    model = ElementTree.fromstring(text.partition("?>")[2]).find("model")
+    model = ElementTree.fromstring(text.partition("?>")[2].replace(".link<", "<").replace('.link"', '"')).find("model")
 
     def number(element, path):
         found = element.find(path)

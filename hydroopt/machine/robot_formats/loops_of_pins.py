@@ -59,11 +59,12 @@ def stated_loops(tree: RobotTree, tables: Mapping[str, Any], names: Mapping[str,
                       "closed_by": "pin" if _in_a_plane(joints, axes) else "ball",
                       "posture": {names[joint.name]: _place(tree, joint) for joint in joints}})
     joints_of = {names[joint.name]: joint for joint in tree.joints.values() if joint.name in names}
+    file = {"from_file": True}
     try:
-        links, closed, coupled = ([kind.model_validate(table, context={"from_file": True}) for table in of]
-                                  for kind, of in ((Link, tables["links"]), (Loop, loops),
-                                                   (Coupling, tables.get("couplings", ()))))
-        for closure in closures(links, closed, coupled):
+        found = closures([Link.model_validate(each, context=file) for each in tables["links"]],
+                         [Loop.model_validate(each, context=file) for each in loops],
+                         [Coupling.model_validate(each, context=file) for each in tables.get("couplings", ())])
+        for closure in found:
             for loop in loops:
                 if loop["name"] in {each.name for each in closure.statements}:
                     loop["posture"] = {name: _place(tree, joints_of[name])

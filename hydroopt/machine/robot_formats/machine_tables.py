@@ -119,7 +119,9 @@ class _Conversion:
                   for link, at in self.poses.items()}
         if tree.pins and not tip and not self.sidecar.stated:
             tables["loops"] = stated_loops(tree, tables, self.names, inside, self.axes)
+        still = [link for link, at in self.poses.items() if at.carrier == _NONE and tree.masses[link] is not None]
         lost = [*tree.lost, *(f"the loop '{pin.name}' is open" for pin in tree.pins if tip)]
+        lost += [f"the mass of {', '.join(still)} is left out: it stands still"] if still else []
         lost += [f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
                  for joint in self.held if joint.mimic]
         lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self._each()

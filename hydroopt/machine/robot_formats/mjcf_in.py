@@ -37,7 +37,10 @@ def read_mjcf(path: str | Path) -> RobotTree:
     robot_element(file, "mujoco", "MJCF")
     mujoco = needed("mujoco", "MJCF files are read with MuJoCo", where=file, error=MachineError)
     try:
-        model = mujoco.MjModel.from_xml_path(file)
+        spec = mujoco.MjSpec.from_file(file)
+        spec.compiler.boundmass = max(spec.compiler.boundmass, NEGLIGIBLE)  # what states no body is none, not an error
+        spec.compiler.boundinertia = max(spec.compiler.boundinertia, 10 * mujoco.mjMINVAL)
+        model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise MachineError(f"MuJoCo cannot compile it ({str(error).splitlines()[0]:.200})", where=file,
                            remedy="correct that, or give the meshes that it names") from None

@@ -5,16 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import BASE
+from hydroopt.machine.robot_formats.frames import inverse, roll_pitch_yaw, tidy
 from hydroopt.machine.robot_formats.loops_of_pins import Placed
 from hydroopt.machine.robot_formats.machine_tables import machine_tables
 from hydroopt.machine.robot_formats.mjcf_in import read_mjcf
+from hydroopt.machine.robot_formats.sdf_in import read_sdf
 from hydroopt.machine.robot_formats.sidecar import read_sidecar
 from hydroopt.machine.robot_formats.urdf_in import read_urdf
 
-READERS = {".urdf": read_urdf, ".xml": read_mjcf}
+READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".sdf": read_sdf, ".xacro": read_urdf}
 """What reads the files of an ending."""
+
+
+FRAMES = "Frames of the machine's links, in the frames that the robot file has of its links"
+"""What heads the table of frames."""
+FRAME = ("x [m]", "y [m]", "z [m]", "roll [deg]", "pitch [deg]", "yaw [deg]")
+"""What states a frame, with its units."""
 
 
 class RobotFile(NamedTuple):
@@ -31,6 +41,18 @@ class RobotFile(NamedTuple):
     rest: dict[str, Any]
     lost: tuple[str, ...]
     links: dict[str, Placed]
+
+    @property
+    def frames(self) -> list[dict[str, str | float]]:
+        """Of each of the robot's links the machine's link that it is part of, and where that link's frame P is in the
+        robot link's frame: origin ``x``, ``y``, ``z`` [m], and roll, pitch and yaw [deg]: Rot(z)·Rot(y)·Rot(x)."""
+        found: list[dict[str, str | float]] = []
+        for link, at in self.links.items():
+            seen = inverse(at.pose)
+            numbers = (*seen[:3, 3], *np.degrees(roll_pitch_yaw(seen[:3, :3])))
+            found.append({"robot's link": link, "machine's link": at.carrier} | dict(
+                zip(FRAME, map(tidy, numbers), strict=True)))
+        return found
 
 
 def read_robot(path: str | Path, *, tip: str | None = None) -> RobotFile:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 from hydroopt.machine.robot_formats.bodies import central
 from hydroopt.machine.robot_formats.frames import roll_pitch_yaw
-from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint
+from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, renamed
 from hydroopt.machine.robot_formats.urdf_out import numbers, xml_text
 from hydroopt.spatial.inertia import Array
 
@@ -15,7 +15,11 @@ VERSION = "1.11"
 
 
 def sdf_text(tree: RobotTree) -> str:
-    """SDF of a tree; its pins are left out. Each link stands in the frame of the joint that carries it."""
+    """SDF of a tree; its pins are left out. Each link stands in the frame of the joint that carries it.
+
+    Links and joints share no names in SDF: a link that has a joint's becomes ``NAME.link``.
+    """
+    tree = renamed(tree, {link: f"{link}.link" for link in tree.masses if link in tree.joints})
     root = ElementTree.Element("sdf", version=VERSION)
     model = ElementTree.SubElement(root, "model", name=tree.name)
     for link, mass in tree.masses.items():

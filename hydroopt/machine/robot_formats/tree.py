@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -117,6 +117,15 @@ class RobotTree(NamedTuple):
         joints = {name: joint for name, joint in self.joints.items() if joint.parent in inside}
         return self._replace(root=link, joints=joints, masses={name: self.masses[name] for name in inside},
                              before={joint.child: joint for joint in joints.values()})
+
+
+def renamed(tree: RobotTree, links: Mapping[str, str]) -> RobotTree:
+    """The tree with other names of some links."""
+    joints = {name: replace(joint, parent=links.get(joint.parent, joint.parent), child=links.get(
+        joint.child, joint.child)) for name, joint in tree.joints.items()}
+    return tree._replace(root=links.get(tree.root, tree.root), joints=joints,
+                         masses={links.get(link, link): mass for link, mass in tree.masses.items()},
+                         before={joint.child: joint for joint in joints.values()})
 
 
 def one_tree(file: str, name: str, masses: dict[str, Array | None], joints: Iterable[TreeJoint],

@@ -16,8 +16,9 @@ from hydroopt.machine.robot_formats.tree import Kind, Mimic, RobotTree, TreeJoin
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
-_LARGEST = 1e9
-_KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
+LARGEST = 1e9
+"""What numbers are below; limits from here on are none."""
+KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 _GEOMETRY = ("visual", "collision")
 
 
@@ -51,9 +52,11 @@ def read_urdf(path: str | Path) -> RobotTree:
         if not name or name in known:
             raise MachineError(f"two {part.tag}s are called '{name}'" if name else f"a {part.tag} has no name",
                                where=file, remedy="give each one a name of its own")
-        node = _Node(part, f"{file}: {part.tag} '{name}'")
+        node = Node(part, f"{file}: {part.tag} '{name}'")
         if part.tag == "link":
-            masses[name] = _mass(node.at("inertial"))
+            inertial = node.at("inertial")
+            masses[name] = inertial_mass(inertial, inertial.at("mass"), inertial.at("inertia"), inertial.pose(),
+                                         "value")
         else:
             joints[name] = _joint(node, name, masses, gears.get(name, 1.0))
     children = {joint.child for joint in joints.values()}
@@ -61,9 +64,10 @@ def read_urdf(path: str | Path) -> RobotTree:
     for name in loose:
         if joints[name].parent in children or len(joints) == 1:
             raise MachineError(f"joints of type '{_kind(robot, name)}' are not supported",
-                               where=f"{file}: joint '{name}'", remedy=f"make it {', '.join(_KINDS)}")
+                               where=f"{file}: joint '{name}'", remedy=f"make it {', '.join(KINDS)}")
     shapes = sum(len(link.findall(tag)) for link in robot.findall("link") for tag in _GEOMETRY)
-    lost = [f"the free joint '{name}' stands still: the machine's base is '{joints[name].child}'" for name in loose]
+    lost = homeless_inertials(Node(robot, file))
+    lost += [f"the free joint '{name}' stands still: the machine's base is '{joints[name].child}'" for name in loose]
     lost += [f"{shapes} visual and collision shapes are left out"] if shapes else []
     lost += [f"'{joint.name}' states limits that are out of reach, and turns without end"
              for joint in joints.values() if joint.endless and _kind(robot, joint.name) == "revolute"]
@@ -88,20 +92,32 @@ def robot_element(file: str, tag: str, noun: str) -> ElementTree.Element:
     return root
 
 
-class _Node:
+class Node:
     """An XML element, or its absence, with its place in the file."""
 
     def __init__(self, element: ElementTree.Element | None, where: str) -> None:
         self.stated = {} if element is None else element.attrib
         self.element, self.where = element, where
 
-    def at(self, tag: str) -> _Node:
-        return _Node(None if self.element is None else self.element.find(tag), f"{self.where}: <{tag}>")
+    def at(self, tag: str) -> Node:
+        """Its first child of a tag."""
+        return Node(None if self.element is None else self.element.find(tag), f"{self.where}: <{tag}>")
 
-    def number(self, key: str, default: float | None = None, *, largest: float = _LARGEST) -> float:
+    def all(self, tag: str) -> list[Node]:
+        """All children of a tag, which have names."""
+        found = [] if self.element is None else self.element.findall(tag)
+        return [Node(each, f"{self.where}: {tag} '{each.get('name', '')}'") for each in found]
+
+    def texts(self) -> Node:
+        """What stands in its children, as if they were attributes."""
+        texts = {} if self.element is None else {each.tag: each.text.strip() for each in self.element if each.text}
+        return Node(ElementTree.Element("texts", texts), self.where)
+
+    def number(self, key: str, default: float | None = None, *, largest: float = LARGEST) -> float:
+        """A number of an attribute; it must be stated where there is no default."""
         return float(self.numbers(key, None if default is None else (default,), largest=largest)[0])
 
-    def numbers(self, key: str, default: Sequence[float] | None = None, *, largest: float = _LARGEST) -> Array:
+    def numbers(self, key: str, default: Sequence[float] | None = None, *, largest: float = LARGEST) -> Array:
         """Numbers of an attribute, as many as `default` has; if there is none, one, and it must be stated."""
         text = self.stated.get(key)
         if text is None and default is not None:
@@ -129,28 +145,28 @@ def _kind(robot: ElementTree.Element, name: str) -> str:
     return next(joint.get("type", "") for joint in robot.findall("joint") if joint.get("name") == name)
 
 
-def _joint(node: _Node, name: str, links: Iterable[str], gear: float) -> TreeJoint:
+def _joint(node: Node, name: str, links: Iterable[str], gear: float) -> TreeJoint:
     kind = node.stated.get("type", "")
-    if kind not in _KINDS and kind not in ("floating", "planar"):
+    if kind not in KINDS and kind not in ("floating", "planar"):
         raise MachineError(f"joints of type '{kind}' are not supported", where=node.where,
-                           remedy=f"make it {', '.join(_KINDS)}")
+                           remedy=f"make it {', '.join(KINDS)}")
     parent, child = (node.at(end).stated.get("link", "") for end in ("parent", "child"))
     for end, link in (("parent", parent), ("child", child)):
         if link not in links:
             raise MachineError(f"its {end} link '{link}' does not exist", where=node.where,
                                remedy=f"use {like(link, links)}, or add that link")
-    moves = _KINDS.get(kind, "fixed") != "fixed"
+    moves = KINDS.get(kind, "fixed") != "fixed"
     axis = node.at("axis").numbers("xyz", (1.0, 0.0, 0.0)) if moves else np.array((0.0, 0.0, 1.0))
     if (length := float(np.linalg.norm(axis))) < 1e-9:
         raise MachineError("its axis is zero", where=node.where, remedy="give it a direction")
     limit, dynamics = node.at("limit"), node.at("dynamics")
     lower, upper = (limit.number(key, largest=math.inf) if key in limit.stated else None for key in ("lower", "upper"))
     endless = kind == "continuous" or (kind == "revolute" and None not in (lower, upper)
-                                       and -(lower or 0.0) >= _LARGEST and (upper or 0.0) >= _LARGEST)
+                                       and -(lower or 0.0) >= LARGEST and (upper or 0.0) >= LARGEST)
     if moves and not endless:
         lower, upper = (limit.number(key) if key in limit.stated else None for key in ("lower", "upper"))
     return TreeJoint(
-        name=name, kind=_KINDS.get(kind, "fixed"), parent=parent, child=child, origin=node.pose(), axis=axis / length,
+        name=name, kind=KINDS.get(kind, "fixed"), parent=parent, child=child, origin=node.pose(), axis=axis / length,
         lower=lower if moves and not endless else None,
         upper=upper if moves and not endless else None, endless=endless,
         max_speed=limit.positive("velocity") or None, max_effort=limit.positive("effort") or None,
@@ -158,7 +174,7 @@ def _joint(node: _Node, name: str, links: Iterable[str], gear: float) -> TreeJoi
         mimic=_mimic(node.at("mimic")) if moves else None)
 
 
-def _mimic(node: _Node) -> Mimic | None:
+def _mimic(node: Node) -> Mimic | None:
     if node.element is None:
         return None
     ratio = node.number("multiplier", 1.0)
@@ -169,23 +185,46 @@ def _gears(robot: ElementTree.Element, file: str) -> dict[str, float]:
     """Gear ratios of transmissions of one joint, by joint."""
     found = {}
     for part in robot.findall("transmission"):
-        node = _Node(part, f"{file}: transmission '{part.get('name', '')}'")
+        node = Node(part, f"{file}: transmission '{part.get('name', '')}'")
         joints = part.findall("joint")
         reductions = [each for each in part.iter("mechanicalReduction") if (each.text or "").strip()]
         if len(joints) == 1 and len(reductions) >= 1:
-            stated = _Node(ElementTree.Element("value", value=reductions[0].text or ""),
+            stated = Node(ElementTree.Element("value", value=reductions[0].text or ""),
                            f"{node.where}: <mechanicalReduction>")
             found[joints[0].get("name", "")] = abs(stated.number("value")) or 1.0
     return found
 
 
-def _mass(node: _Node) -> Array | None:
-    """Pseudo-inertia (4, 4) in the link's frame that an <inertial> states."""
-    if node.element is None:
+def inertial_mass(inertial: Node, mass: Node, six: Node, at: Array, key: str = "mass") -> Array | None:
+    """Pseudo-inertia (4, 4) in the link's frame that an <inertial> states; None where there is none, or all is zero.
+
+    Args:
+        inertial: the element.
+        mass: what states the mass under a `key`.
+        six: what states the moments of inertia.
+        at: the pose of the frame that they are stated in.
+    """
+    if inertial.element is None:
         return None
-    m = node.at("mass").number("value")
+    m = mass.number(key)
     if m < 0:
-        raise MachineError(f"its mass is negative, {m:g} kg", where=node.where, remedy="correct it")
-    six = [node.at("inertia").number(key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-    about_com = inertia.pseudo_inertia(inertia.from_centre_of_mass(m, ORIGIN, six))
-    return node.pose() @ about_com @ node.pose().T
+        raise MachineError(f"its mass is negative, {m:g} kg", where=inertial.where, remedy="correct it")
+    moments = [six.number(each) for each in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+    return at @ inertia.pseudo_inertia(inertia.from_centre_of_mass(m, ORIGIN, moments)) @ at.T if m or any(
+        moments) else None
+
+
+def homeless_inertials(robot: Node) -> list[str]:
+    """The <inertial> elements that are no link's first one, in sentences."""
+    assert robot.element is not None
+    links = robot.element.findall("link")
+    counted, found = {id(link.find("inertial")) for link in links}, []
+    for parent in robot.element.iter():
+        before = ""
+        for child in parent:
+            if child.tag == "inertial" and id(child) not in counted:
+                name = f"<{parent.tag}> '{parent.get('name', '')}'"
+                found.append(f"the <inertial> in {name}{before} is left out: " + (
+                    "the link has one already" if parent in links else "it belongs to no link"))
+            before = f" behind <{child.tag}> '{child.get('name', '')}'"
+    return found

@@ -30,8 +30,7 @@ class Written(NamedTuple):
 def robot_files(machine: Machine, path: str | Path) -> Written:
     """A machine as a file of the format that the ending names: .toml, .urdf, .xml (MJCF), .sdf.
 
-    Beside a URDF or MJCF there is a sidecar with what the format cannot say; hydroopt reads both together. An SDF is
-    written only.
+    Beside a URDF or MJCF there is a sidecar with what the format cannot say; hydroopt reads both together.
 
     Raises:
         MachineError: there is no such format.
