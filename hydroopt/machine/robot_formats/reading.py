@@ -21,7 +21,7 @@ READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".sdf": read_sdf, ".xacro": re
 """What reads the files of an ending."""
 
 
-FRAMES = "Frames of the machine's links, in the frames that the robot file has of its links"
+FRAMES = "Frames of the machine's links in those of the robot file's links"
 """What heads the table of frames."""
 FRAME = ("x [m]", "y [m]", "z [m]", "roll [deg]", "pitch [deg]", "yaw [deg]")
 """What states a frame, with its units."""
@@ -50,7 +50,7 @@ class RobotFile(NamedTuple):
         for link, at in self.links.items():
             seen = inverse(at.pose)
             numbers = (*seen[:3, 3], *np.degrees(roll_pitch_yaw(seen[:3, :3])))
-            found.append({"robot's link": link, "machine's link": at.carrier} | dict(
+            found.append({"robot link": link, "machine link": at.carrier} | dict(
                 zip(FRAME, map(tidy, numbers), strict=True)))
         return found
 
