@@ -9,8 +9,8 @@ MACHINE_WORDS: dict[Kind, Words] = {
         "Bodies are missing or placeholders, so that nominal forces are not the machine's: {found}.",
         "State {what} of each {where}, if need be as a guess with its sigma."),
     Kind.NO_FRICTION: Words(
-        "No friction is stated of {subject} or their actuators, so that the model has none.",
-        "Identify with --friction coulomb+viscous, or state coulomb and viscous in the 'friction' of its drives."),
+        "No friction is stated of {subject} or their actuators: the option --friction coulomb+viscous of identify adds "
+        "it.", "Identify with that option, or state coulomb and viscous in the 'friction' of its drives."),
     Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
         "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
         "moment of inertia is negative or exceeds the sum of the other two.",

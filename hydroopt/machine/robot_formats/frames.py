@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import RIGHT
@@ -62,35 +63,18 @@ def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
 
 
 def from_quaternion(parts: Sequence[float] | Array) -> Array:
-    """Rotation matrix (3, 3) of a unit quaternion w, x, y, z."""
-    w, *vector = np.asarray(parts, dtype=float) / np.linalg.norm(parts)
-    v = np.array(vector)
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    made: Array = np.eye(3) + 2 * w * cross + 2 * cross @ cross
-    return made
+    """Rotation matrix (3, 3) of a quaternion w, x, y, z."""
+    return np.asarray(Rotation.from_quat(np.roll(parts, -1)).as_matrix())
+
+
+def to_quaternion(rotation: Array) -> Array:
+    """Unit quaternion w, x, y, z (4,) of a rotation matrix (3, 3)."""
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
 
 
 def turn_about(axis: Array, angle: float) -> Array:
     """Rotation matrix (3, 3) about a unit vector (3,) by an angle [rad]."""
-    return from_quaternion((math.cos(angle / 2), *(math.sin(angle / 2) * axis)))
-
-
-def to_quaternion(rotation: Array) -> Array:
-    """Unit quaternion w, x, y, z (4,) of a rotation matrix (3, 3), by its largest part."""
-    t = np.append(np.trace(rotation), np.diag(rotation))
-    k = int(np.argmax(t))
-    if k == 0:
-        odd = rotation - rotation.T
-        parts = np.array([1 + t[0], odd[2, 1], odd[0, 2], odd[1, 0]])
-    else:
-        i, j = k % 3, (k + 1) % 3  # the two axes after the largest one
-        m = k - 1
-        parts = np.zeros(4)
-        parts[0] = rotation[j, i] - rotation[i, j]
-        parts[1 + m] = 1 + 2 * rotation[m, m] - t[0]
-        parts[1 + i], parts[1 + j] = rotation[m, i] + rotation[i, m], rotation[m, j] + rotation[j, m]
-    made: Array = parts / np.linalg.norm(parts)
-    return made
+    return np.asarray(Rotation.from_rotvec(angle * axis).as_matrix())
 
 
 def frame_about(axis: Array) -> Array:
