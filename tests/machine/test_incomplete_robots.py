@@ -129,7 +129,9 @@ def by_hand(file: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize(("name", "text", "oracle"), [
-    ("s.urdf", SLANTED, by_pinocchio), ("s.xml", SLANTED_MJCF, by_mujoco), ("s.sdf", SLANTED_SDF, by_hand)])
+    ("s.urdf", SLANTED, by_pinocchio), ("s.xml", SLANTED_MJCF, by_mujoco), ("s.sdf", SLANTED_SDF, by_hand),
+    ("s.sdf", SLANTED_SDF.replace(' expressed_in="__model__">0 0.6 0.8</xyz>', (  # before 1.7
+        ">0 0.6 0.8</xyz><use_parent_model_frame>1</use_parent_model_frame>")), by_hand)])
 def test_the_table_of_frames_leads_from_the_machine_to_the_robot(name: str, text: str, oracle, tmp_path: Path) -> None:
     file, machine = tmp_path / name, tmp_path / "s.toml"
     file.write_text(text)

@@ -45,8 +45,8 @@ def read_sdf(path: str | Path) -> RobotTree:
     [0.0, 0.0, 1.5]
     """
     file = str(path)
-    models = robot_element(file, "sdf", "SDF").findall("./model") or robot_element(file, "sdf", "SDF").findall(
-        "./world/model")
+    root = robot_element(file, "sdf", "SDF")
+    models = root.findall("./model") or root.findall("./world/model")
     if len(models) != 1:
         raise MachineError(f"it holds {len(models)} models", where=file, remedy="give a file of one model")
     return _Model(file, Node(models[0], file)).tree()
@@ -118,7 +118,8 @@ class _Model:
         """Axis, limits, friction, spring and master of a moving joint at a pose in the model's frame."""
         axis = joint.at("axis")
         direction = axis.texts().numbers("xyz", (0.0, 0.0, 1.0))
-        if frame := axis.at("xyz").stated.get("expressed_in"):
+        older = "__model__" if axis.texts().stated.get("use_parent_model_frame") in ("1", "true") else ""
+        if frame := axis.at("xyz").stated.get("expressed_in", older):
             direction = at[:3, :3].T @ self.place(frame)[:3, :3] @ direction
         if (length := float(np.linalg.norm(direction))) < 1e-9:
             raise MachineError("its axis is zero", where=joint.where, remedy="give it a direction")
