@@ -46,7 +46,7 @@ def test_every_library_that_is_imported_is_installed_by_the_core_or_by_its_extra
     foreign = names - set(sys.stdlib_module_names) - {"hydroopt"}
     core = {PACKAGES.get(name, name) for name in foreign - EXTRAS.keys()}
     assert core - {"markupsafe"} == CORE.keys()  # jinja2 brings it
-    assert EXTRAS.keys() <= foreign | {"mujoco", "control", "pandas", "pyarrow"}
+    assert EXTRAS.keys() <= foreign | {"mujoco", "control", "pyarrow"}
     for library, extra in EXTRAS.items():
         assert PACKAGES.get(library, library) in OPTIONAL[extra]
 
@@ -133,12 +133,10 @@ def test_a_missing_library_is_named_with_its_extra(library: str, extra: str, mon
         needed(library, "x is read with it", where="here", error=ho.LogError)
 
 
-def test_frames_and_parquet_name_their_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = ho.Log("run", [0.0, 0.1], {"boom.q": [0.0, 0.1]})
-    for library in ("pandas", "pyarrow", "pyarrow.parquet"):
+    for library in ("pyarrow", "pyarrow.parquet"):
         monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ho.LogError, match=r"\[frames\]"):
-        log.to_frame()
     with pytest.raises(ho.LogError, match=r"\[parquet\]"):
         log.write(tmp_path / "run.parquet")
     assert not list(tmp_path.iterdir())

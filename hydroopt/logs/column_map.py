@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -136,46 +136,34 @@ class Labels(BaseModel):
     setup: Label = ""
 
 
-class LogMap(BaseModel):
-    """Map of the columns of a file with other headers; `read_map` reads it. Only tables of poses have `labels`.
+class Layout(BaseModel):
+    """The layout of a table of text. What is not stated is decided from the lines of the file, once, when it is opened.
 
     Attributes:
-        format: kind of file, where its name does not say.
-        header: whether a text table has one. What follows is detected where it is not stated:
-        skip: lines before the header, or before the first row of a table without one; comments not counted.
-        comment: what lines of comment begin with.
+        header: whether a line has the names of the columns.
+        skip: lines before the header, or before the first row of a table without one.
         units_row: whether the line below the header states units.
-        delimiter: one character or "whitespace"; `decimal` mark, and the one between `thousands`.
+        footer: lines behind the last row.
+        comment: what lines of comment begin with; empty of none.
+        delimiter: one character or "whitespace"; `quote`: mark around cells, empty of none.
+        decimal: mark of decimals; `thousands`: the one between thousands, empty of none.
         encoding: of the text, as Python calls it.
         dates: whether dates such as 03/04/2026 state the day or the month first.
-        rows: first and last 1-based data row to be read.
-        columns: by channel; `labels`: texts of poses; `clocks`: by group of channels.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
-    format: str | None = None
-    header: bool = True
+    header: bool | None = None
     skip: Annotated[int, Field(ge=0)] | None = None
-    comment: Annotated[str, Field(min_length=1)] | None = None
     units_row: bool | None = None
+    footer: Annotated[int, Field(ge=0)] | None = None
+    comment: str | None = None
     delimiter: str | None = None
+    quote: Literal["", '"', "'"] | None = None
     decimal: Literal[".", ","] | None = None
-    thousands: Literal[".", ",", " ", "'"] | None = None
+    thousands: Literal["", ".", ",", " ", "'"] | None = None
     encoding: str | None = None
     dates: Literal["day first", "month first"] | None = None
-    rows: Annotated[tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]],
-                    Field(strict=False)] | None = None
-    columns: dict[str, ColumnMap]
-    labels: Labels | None = None
-    clocks: dict[str, ClockMap] = {}
-
-    @field_validator("format")
-    @classmethod
-    def _format(cls, value: str | None) -> str | None:
-        if value is not None and value not in KINDS:
-            raise ValueError(f"'{value:.40}' is not one of {', '.join(KINDS)}")
-        return value
 
     @field_validator("encoding")
     @classmethod
@@ -189,8 +177,41 @@ class LogMap(BaseModel):
     @field_validator("delimiter")
     @classmethod
     def _delimiter(cls, value: str | None) -> str | None:
-        if value is not None and value != "whitespace" and len(value) != 1:
-            raise ValueError("the delimiter is one character or 'whitespace'")
+        if value is not None and value != "whitespace" and (
+                len(value) != 1 or not value.isascii() or value.isalnum() or value in "\r\n\0\"'+-."):
+            raise ValueError("the delimiter is one character, such as ';', or 'whitespace'")
+        return value
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        if self.decimal is not None and self.decimal == self.thousands:
+            raise ValueError("'decimal' and 'thousands' are the same mark")
+        if self.units_row and self.header is False:
+            raise ValueError("'units_row' needs a header above the units, and 'header' is false")
+        return self
+
+
+class LogMap(Layout):
+    """Map of the columns of a file with other headers; `read_map` reads it. Only tables of poses have `labels`.
+
+    Attributes:
+        format: kind of file, where its name does not say. The keys of a `Layout` are those of a table of text.
+        rows: first and last 1-based data row to be read.
+        columns: by channel; `labels`: texts of poses; `clocks`: by group of channels.
+    """
+
+    format: str | None = None
+    rows: Annotated[tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]],
+                    Field(strict=False)] | None = None
+    columns: dict[str, ColumnMap]
+    labels: Labels | None = None
+    clocks: dict[str, ClockMap] = {}
+
+    @field_validator("format")
+    @classmethod
+    def _format(cls, value: str | None) -> str | None:
+        if value is not None and value not in KINDS:
+            raise ValueError(f"'{value:.40}' is not one of {', '.join(KINDS)}")
         return value
 
     @field_validator("rows")
@@ -202,8 +223,6 @@ class LogMap(BaseModel):
 
     @model_validator(mode="after")
     def _channels(self) -> "LogMap":
-        if self.decimal is not None and self.decimal == self.thousands:
-            raise ValueError("'decimal' and 'thousands' are the same mark")
         for name, column in self.columns.items():
             if name == "t" and not column.unit:
                 continue

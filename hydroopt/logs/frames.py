@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.extras import needed
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn
@@ -35,7 +34,8 @@ def columns_of_frame(frame: pd.DataFrame | pa.Table, units: Mapping[str, str] | 
     Raises:
         LogError: a column has no unit, two units or no numbers; the time is missing or stated twice.
     """
-    pd = pandas()
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
     if type(frame).__module__.partition(".")[0] == "pyarrow" and hasattr(frame, "to_pandas"):
         frame = frame.to_pandas()
     if not isinstance(frame, pd.DataFrame):
@@ -73,18 +73,10 @@ def columns_of_frame(frame: pd.DataFrame | pa.Table, units: Mapping[str, str] | 
     return table, layout, ignored, values, si
 
 
-def pandas() -> Any:
-    """The library pandas, imported when it is used, since it takes a second.
-
-    Raises:
-        LogError: it is not installed.
-    """
-    return needed("pandas", "data frames are those of pandas", where="frame", error=LogError)
-
-
 def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:
     """A DataFrame of columns (N,) by header."""
-    pd = pandas()
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
     return pd.DataFrame({name: np.array(column) for name, column in columns.items()})
 
 
@@ -118,7 +110,8 @@ def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
 
 def _numbers(series: Any, name: str, where: str) -> Array:
     """Values (N,) of a column, missing ones NaN."""
-    pd = pandas()
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
     if isinstance(series, np.ndarray):
         return series
     if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
@@ -129,7 +122,8 @@ def _numbers(series: Any, name: str, where: str) -> Array:
 
 def _moments(values: Any) -> Array | None:
     """Seconds (N,) of datetimes, from the first on, or of timedeltas; None of anything else. Missing ones are NaN."""
-    pd = pandas()
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
     if isinstance(values, np.ndarray):
         return values
     dtype = values.dtype

@@ -306,7 +306,7 @@ def refuse_damage_of(table: Table, t: Array, where: str) -> None:
     damage, sound = dict(table.damage), np.isfinite(t)
     for row in table.rows[sound][find.out_of_order(t[sound])]:
         damage.setdefault(int(row), "time out of order")
-    refuse_damage(damage, table.rows, where)
+    refuse_damage(replace(table, damage=damage), where)
 
 
 def missing(name: str, present: Iterable[str], where: str) -> LogError:

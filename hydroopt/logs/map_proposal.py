@@ -12,12 +12,13 @@ from typing import Literal
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from hydroopt.errors import HydrooptError, LogError
+from hydroopt.errors import HydrooptError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_words import ChannelNames, Naming
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
-from hydroopt.logs.table import Array
+from hydroopt.logs.stamps import DateOrderError
+from hydroopt.logs.table import Array, NoNumbersError
 from hydroopt.logs.unit_words import of_kind
 from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
@@ -48,7 +49,10 @@ LEFT_OUT = ("qdd", "distance", "x", "y", "z", "fx", "fy", "fz", "mx", "my", "mz"
 
 @dataclass(frozen=True)
 class ColumnOf:
-    """A column of a file: its sheet, index and header, what the header says, and its values (N,)."""
+    """A column of a file: its sheet, index and header, what the header says, and its values (N,).
+
+    Of `dated` ones that are not `ordered` the day or the month may come first.
+    """
 
     sheet: Sheet
     index: int
@@ -56,6 +60,7 @@ class ColumnOf:
     named: Naming
     values: Array
     dated: bool = False
+    ordered: bool = True
 
     @property
     def label(self) -> str:
@@ -92,6 +97,8 @@ class MapProposal:
             file has for their kind; `unused`: labels of columns.
         possible: channels that an unused column may be by its part or its quantity, by label.
         own_stamps: whether the rows of all sheets have stamps of their own; `several`: whether there are several.
+        layout: keys of the map that state the layout of the text, as decided, but those in which sheets differ.
+        unnamed: number of columns of a table without header.
     """
 
     path: str
@@ -102,6 +109,8 @@ class MapProposal:
     own_stamps: bool
     several: bool
     possible: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    layout: Mapping[str, str | int | bool] = field(default_factory=dict)
+    unnamed: int = 0
 
     def toml(self) -> str:
         """The map as a TOML file; guesses are comments.
@@ -111,7 +120,9 @@ class MapProposal:
         >>> with TemporaryDirectory() as directory:
         ...     file = Path(directory) / "run.csv"
         ...     _ = file.write_text("Zeit [s];Ausleger Winkel (°)\\n0;1,5\\n0,1;1,7\\n")
-        ...     print(propose_map(file, load_machine("cat215b")).toml().splitlines()[5])
+        ...     lines = propose_map(file, load_machine("cat215b")).toml().splitlines()
+        >>> print(lines[8], lines[13], sep="\\n")
+        delimiter = ";"
         t = { column = "Zeit [s]", unit = "s" }  # sure: named as the time in s, and increases
         """
         times = [each for each in self.proposals if each.channel == "t"]
@@ -120,13 +131,18 @@ class MapProposal:
         listed = [each for each in self.proposals if each not in clocks and not (self.several and each in times)]
         lines = [f"# Column map of {Path(self.path).name} for {self.machine}, proposed by hydroopt map.",
                  "# sure: name, unit and values say so; likely: the only possibility; guess: a comment, to decide.",
-                 "# Signs and zeros of angles are judged here by triangles alone, by hydroopt identify with forces.",
-                 "", "[columns]"]
+                 "# Signs and zeros of angles are judged here by triangles alone, by hydroopt identify with forces."]
+        if self.layout:
+            lines += ["", "# the layout of the text as it was found; a line that is removed is decided for each file",
+                      *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in self.layout.items())]
+        lines += ["", "[columns]"]
         if self.own_stamps:
             lines.append("# the time is that of the file's own stamps")
         elif not times:
             lines.append('# t = { column = "?", unit = "s" }  # no column is named as a time')
         lines += [self._line(_key(each.channel), each) for each in listed]
+        if self.unnamed:
+            lines += ["", f"# the table has no header: its columns are 0 to {self.unnamed - 1}"]
         if self.missing:
             lines += ["", "# no column was found for these: write its name and unit, and remove the #",
                       *(f'# {_key(name)} = {{ column = "?", unit = "{unit}" }}' for name, unit in self.missing.items())]
@@ -148,8 +164,8 @@ class MapProposal:
         return " or ".join([*names[:MOST], *([f"{len(names) - MOST} more"] if len(names) > MOST else [])]) + "?"
 
     def _line(self, key: str, each: Proposal) -> str:
-        same = [header for header in each.column.sheet.content.header if header == each.column.header]
-        column = json.dumps(each.column.header, ensure_ascii=False) if len(same) == 1 else str(each.column.index)
+        alone = each.column.sheet.content.header.count(each.column.header) == 1
+        column = json.dumps(each.column.header, ensure_ascii=False) if alone else str(each.column.index)
         parts = [f"column = {column}", *([f'unit = "{each.unit}"'] if each.unit else [])]
         if self.several and each.channel != "t":
             parts.append(f"group = {json.dumps(each.column.sheet.name, ensure_ascii=False)}")
@@ -176,6 +192,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         columns = [column for sheet in source.sheets for column in _columns(sheet, names)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1
+        layout, unnamed = _layout(source.sheets), max(sheet.content.unnamed for sheet in source.sheets)
         times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
@@ -191,7 +208,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
                                                  *rest]) for name in free if name in usual}
     return MapProposal(
         str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)), missing,
-        tuple(column.label for column in unused), own, several, possible)
+        tuple(column.label for column in unused), own, several, possible, layout, unnamed)
 
 
 def _upright(model: Model) -> frozenset[str]:
@@ -206,6 +223,14 @@ def _upright(model: Model) -> frozenset[str]:
 def _stated_unit(si: str, columns: Iterable[ColumnOf]) -> str:
     """The unit of the first of these columns that states one of a kind; the SI unit where none does."""
     return next((unit for column in columns for unit in of_kind(column.named.units, si)), si)
+
+
+def _layout(sheets: Sequence[Sheet]) -> dict[str, str | int | bool]:
+    """What the layouts of all tables of text have in common, but what is the same in nearly all files."""
+    layouts = [layout.model_dump(exclude_none=True) for sheet in sheets if (layout := sheet.content.layout) is not None]
+    usual = {"comment": "", "quote": '"', "thousands": "", "footer": 0}
+    return {key: value for key, value in (layouts[0] if layouts else {}).items()
+            if usual.get(key) != value and all(each.get(key) == value for each in layouts)}
 
 
 def _loud_enough(found: Mapping[str, Proposal], wanted: Mapping[str, str]) -> dict[str, Proposal]:
@@ -233,10 +258,14 @@ def _key(channel: str) -> str:
 
 def _columns(sheet: Sheet, names: ChannelNames) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
-    for index, header in enumerate(sheet.content.header):
+    for index, header in enumerate(sheet.content.header or map("column {}".format, range(sheet.content.unnamed))):
         try:
             table = sheet.content.read([index], time=index)
-        except LogError:
+        except DateOrderError:
+            yield ColumnOf(sheet, index, header, names.naming(header, sheet.name), np.arange(2.0), dated=True,
+                           ordered=False)
+            continue
+        except NoNumbersError:
             continue
         values = table.columns[index]
         if np.isfinite(values).any():
@@ -254,6 +283,9 @@ def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
         return [Proposal("t", each, each.named.units[0], "likely", f"the only column in a unit of time, "
                          f"{_shown(each, each.named.units[0])}, that increases") for each in clocks[:len(clocks) == 1]]
     column = increasing[0]
+    if not column.ordered:
+        return [Proposal("t", column, "", "guess", "dates whose day or month may come first: state dates = 'day first' "
+                         "or 'month first' above [columns]")]
     if column.dated:
         return [Proposal("t", column, "", "sure", "holds dates or times of day")]
     several: Sureness = "sure" if len(increasing) == 1 else "likely"
@@ -262,7 +294,7 @@ def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
                          "increases")]
     if (unit := stamps.epoch_unit(column.values)) is not None:
         return [Proposal("t", column, unit, "likely", f"an epoch in {unit}: another unit would be no date of this age")]
-    step = float(np.median(np.diff(column.values)))
+    step = float(np.nanmedian(np.diff(column.values)))
     said = f"named as a time without a unit; its step is {step:.4g}"
     fitting = [unit for unit, ticks in stamps.EPOCHS.items() if step > 0 and LEAST_RATE <= ticks / step <= MOST_RATE]
     if len(fitting) == 1 and _increases(column):

@@ -174,7 +174,7 @@ class Poses(Shown):
         (2, ['low', 'low'], 'rad')
         """
         table, layout, _, values, si = columns_of_frame(frame, units, name, poses=True)
-        refuse_damage(table.damage, table.rows, name)
+        refuse_damage(table, name)
         stage, fixture, pose, tape, setup = _labels(layout, table, {})
         return cls(name, stage, fixture, pose, tape, setup, t=values.pop("t", np.empty(0)), channels=values, units=si)
 
@@ -264,7 +264,7 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
         labels = [label for _, label in layout.labels or Labels()]
         table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
     values, units = in_si(layout, table, where)
-    refuse_damage(table.damage, table.rows, where)
+    refuse_damage(table, where)
     if not units:
         raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
     words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}

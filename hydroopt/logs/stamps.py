@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date
 from decimal import Decimal, InvalidOperation
@@ -30,6 +30,10 @@ _EITHER = r"\d{1,2}([/-])\d{1,2}\1\d{4}"
 _MOMENT = re.compile(rf"(?P<date>{'|'.join(_DATES.values())}|\d{{1,2}}[/-]\d{{1,2}}[/-]\d{{4}})?"
                      rf"(?P<gap>[T ]\s*|(?<=\d),\s*)?(?P<time>{_TIME})?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
                      r"\s*(?P<zone>Z|UTC|[+-]\d{2}:?\d{2})?")
+
+
+class DateOrderError(LogError):
+    """Dates of which the day or the month may come first."""
 
 
 @dataclass(frozen=True)
@@ -151,13 +155,14 @@ def looks_dated(cell: str) -> bool:
     return bool(match and (match["date"] or match["time"]) and not (match["half"] and not match["time"]))
 
 
-def of_texts(cells: Sequence[str], order: str | None, where: str) -> Stamps:
+def of_texts(cells: Sequence[str], order: str | None, where: str,
+             place: Callable[[int], str] = "data row {}".format) -> Stamps:
     """Stamps of dates and times as texts: ISO 8601, ``23.11.2026 04:20:00,5``, or with `order` ``11/23/2026 4:20 PM``.
 
     Args:
         cells: (N,) texts; empty ones are missing.
         order: "day first" or "month first", where dates need it.
-        where: the file and column.
+        where: the file; `place`: what a sentence calls the place of a cell in it, by its index.
 
     A time of day alone counts from midnight, and goes on at the next one. A moment without a zone counts as UTC.
 
@@ -173,11 +178,11 @@ def of_texts(cells: Sequence[str], order: str | None, where: str) -> Stamps:
         raise LogError(f"'{first:.40}' is neither a number nor a date", where=where,
                        remedy="write it as in 2026-11-23T04:20:00.125, or in seconds")
     if not match["date"]:
-        return _of_day_times(cells, where)
+        return _of_day_times(cells, where, place)
     form = next((form for form, pattern in _DATES.items() if re.fullmatch(pattern, match["date"])), None)
     if form is None:
         form = _either_form(cells, order, where)
-    return _of_dates(cells, form, where, zoned=bool(match["zone"]))
+    return _of_dates(cells, form, where, place, zoned=bool(match["zone"]))
 
 
 def _either_form(cells: Sequence[str], order: str | None, where: str) -> str:
@@ -190,12 +195,12 @@ def _either_form(cells: Sequence[str], order: str | None, where: str) -> str:
     allowed = [name for name, place in (("day first", 1), ("month first", 0)) if all(p[place] <= 12 for p in pairs)]
     if len(allowed) != 1:
         shown = next(cell for cell in cells if cell.strip()).strip()
-        raise LogError(f"the date '{shown:.30}' may state the day first or the month first", where=where,
+        raise DateOrderError(f"the date '{shown:.30}' may state the day first or the month first", where=where,
                        remedy="state dates = 'day first' or dates = 'month first' in a map")
     return forms[allowed[0]]
 
 
-def _of_dates(cells: Sequence[str], form: str, where: str, *, zoned: bool) -> Stamps:
+def _of_dates(cells: Sequence[str], form: str, where: str, place: Callable[[int], str], *, zoned: bool) -> Stamps:
     pattern, days = _pattern(cells, form, zoned=zoned), dict[tuple[str, ...], int]()
     ticks = np.full(len(cells), MISSING)
     for k, cell in enumerate(cells):
@@ -204,8 +209,8 @@ def _of_dates(cells: Sequence[str], form: str, where: str, *, zoned: bool) -> St
         try:
             ticks[k] = _tick(pattern.fullmatch(cell.strip()), days)
         except (ValueError, OverflowError):
-            raise LogError(f"'{cell:.40}' in data row {k + 1} is no date such as "
-                           f"'{next(c for c in cells if c.strip()):.40}'", where=where,
+            raise LogError(f"'{cell:.40}' is no date such as '{next(c for c in cells if c.strip()):.40}'",
+                           where=f"{where}, {place(k)}",
                            remedy="write all of them in one form, or give seconds") from None
     order = {"%d": "day first", "%m": "month first", "%Y": "year first"}[form[:2]]
     zone = "" if zoned else ", without a zone: taken as UTC"
@@ -255,7 +260,7 @@ def _tick(match: re.Match[str] | None, days: dict[tuple[str, ...], int]) -> int:
     return ticks
 
 
-def _of_day_times(cells: Sequence[str], where: str) -> Stamps:
+def _of_day_times(cells: Sequence[str], where: str, place: Callable[[int], str]) -> Stamps:
     """Times of day, which go on after midnight."""
     ticks = np.full(len(cells), MISSING)
     for k, cell in enumerate(cells):
@@ -264,7 +269,7 @@ def _of_day_times(cells: Sequence[str], where: str) -> Stamps:
             continue
         match = _MOMENT.fullmatch(text)
         if match is None or match["date"] or not match["time"]:
-            raise LogError(f"'{cell:.40}' in data row {k + 1} is no time of day", where=where,
+            raise LogError(f"'{cell:.40}' is no time of day", where=f"{where}, {place(k)}",
                            remedy="write all of them as in 04:20:00.125")
         hours, minutes, seconds = (*match["time"].split(":"), "0")[:3]
         whole, _, part = seconds.partition(".")

@@ -153,7 +153,7 @@ class LogStream:
         file, (time,) = ParquetFile(Path(self.path), self.path, self.layout), layout.columns["t"].keys
         for table in file.pieces(layout.keys, ranges, time):
             values, _ = in_si(layout, table, self.path)
-            refuse_damage(table.damage, table.rows, self.path)
+            refuse_damage(table, self.path)
             t, made = values.pop("t"), stamps_of(layout, table)
             yield Samples(t if made is None else made.seconds(self.origin), values, table.rows)
 

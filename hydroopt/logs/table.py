@@ -37,12 +37,16 @@ EXPANDED_LIMIT = 10 * 1000**3
 """Largest size in memory that a file may declare [bytes]."""
 
 
+class NoNumbersError(LogError):
+    """A column that holds something else than numbers."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Raw columns by key, each (N,); `rows` (N,) 1-based data rows; `damage`: why a row cannot be trusted.
 
     `texts` are the columns (N,) that were asked for as texts, '' where a cell is empty; `stamps` the time, where it is
-    a date, an epoch or the file's own.
+    a date, an epoch or the file's own; `lines` (N,) the 1-based lines of a file of text.
     """
 
     columns: dict[RawKey, Array]
@@ -50,6 +54,7 @@ class Table:
     damage: dict[int, str] = field(default_factory=dict)
     texts: dict[Key, list[str]] = field(default_factory=dict)
     stamps: Stamps | None = None
+    lines: NDArray[np.int64] | None = None
 
 
 def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
@@ -149,11 +154,14 @@ def stamps_of(layout: LogMap, table: Table) -> Stamps | None:
     return made if plain and factor(column.unit, "s") == factor(made.unit, "s") else None
 
 
-def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: str) -> None:
-    """Raise a LogError if there is `damage` (reason by row), naming the longest sound stretch of all rows `every`."""
+def refuse_damage(table: Table, where: str) -> None:
+    """Raise a LogError if there is damage, naming its first line and the longest sound segment of all rows."""
+    damage, every = table.damage, table.rows
     if not damage:
         return
     rows = np.array(sorted(damage))
+    if table.lines is not None:
+        where = f"{where}, line {table.lines[np.searchsorted(every, rows[0])]}"
     fences = np.concatenate([[every[0] - 1], rows, [every[-1] + 1]])
     longest = int(np.argmax(np.diff(fences)))
     start, stop = int(fences[longest]) + 1, int(fences[longest + 1]) - 1

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from hydroopt.errors import ProblemError
-from hydroopt.extras import needed
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
 from hydroopt.results.command_line import CommandLine
@@ -207,7 +206,8 @@ class Answer(Drawn, ABC):
 
     def fit_to_frame(self) -> pd.DataFrame:
         """The fit as a pandas DataFrame indexed by data set and channel."""
-        pd = needed("pandas", "data frames are those of pandas", where="to_frame")
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
         rows = [{"data": data, "channel": channel, **fit.as_dict()}
                 for data, table in self.fit.items() for channel, fit in table.items()]
         return pd.DataFrame(rows, columns=None if rows else ["data", "channel"]).set_index(["data", "channel"])

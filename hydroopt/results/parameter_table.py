@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
-from hydroopt.extras import needed
 from hydroopt.input_file import similar
 from hydroopt.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.results.tables import csv_text, number, with_limits
@@ -208,7 +207,8 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
 
     def to_frame(self) -> pd.DataFrame:
         """A pandas DataFrame indexed by name, with the columns of the CSV file; NaN where a number does not exist."""
-        pd = needed("pandas", "data frames are those of pandas", where="to_frame")
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
         columns = list(with_limits(ParameterRow("", "", "").as_dict()))
         return pd.DataFrame([with_limits(each.as_dict()) for each in self.rows], columns=columns).set_index("name")
 

@@ -269,7 +269,9 @@ rows = [2, 4]
     np.testing.assert_allclose(log.channel("boom.q"), np.deg2rad([79.5, 70, 60]))
     np.testing.assert_allclose(log.channel("tilt.q"), np.deg2rad([9.5, 20, 30]))
     assert list(log.sample) == [2, 3, 4]
-    assert kinds(log) == ["rows"]
+    assert [(each.kind, each.text) for each in log.findings] == [
+        ("rows", "only data rows 2 to 4 were read"),
+        ("format", "the file was read with 1 line behind the last row left out")]
 
 
 T_LINE = '[columns]\n"t" = {column = "t", unit = "s"}\n'
@@ -387,7 +389,7 @@ def test_damaged_ur10e_log_is_refused_and_its_sound_rows_are_read():
         pytest.skip(f"measured data absent: {path}")
     layout = LogMap.model_validate({"header": False, "columns": {
         "t": {"column": 0, "unit": "s"}, **{f"j{i}.q": {"column": i, "unit": "rad"} for i in range(1, 7)}}})
-    with pytest.raises(LogError, match=r"data rows 2–10, 6107 are damaged .*rows = \[11, 6106\]"):
+    with pytest.raises(LogError, match=r"line 2: data rows 2–10, 6107 are damaged .*rows = \[11, 6106\]"):
         read_log(path, mapping=layout)
     log = read_log(path, mapping=layout.model_copy(update={"rows": (11, 6106)}))
     assert log.t.size == 6096

@@ -21,7 +21,7 @@ from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.formats.log_file import LogFile
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.stamps import Stamps
-from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
+from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, check_size, find_column, selected, unreadable
 
 NAMES = {"hdf5": "HDF5", "mat": "MATLAB", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet",
          "tdms": "TDMS", "mdf": "MDF", "bags": "ROS bag or MCAP"}
@@ -74,9 +74,7 @@ class ForeignFile:
     def _table(self, index: int, name: str, layout: LogMap | None) -> LogFile:
         """A worksheet, which is a table of text with tabs."""
         _, (data,) = self.ask(sheet=index, columns=[], stamps=False)
-        given = layout or LogMap.model_construct(columns={})
-        return TextFile(data.tobytes(), f"{self.where}, {name}" if name else self.where, given.model_copy(
-            update={"delimiter": "\t", "decimal": ".", "thousands": None, "encoding": None}))
+        return TextFile(data.tobytes(), f"{self.where}, {name}" if name else self.where, layout, sheet=True)
 
     def ask(self, **request: Any) -> tuple[dict[str, Any], list[NDArray[Any]]]:
         """The answer to a request, and its arrays."""
@@ -128,6 +126,7 @@ class _ForeignSheet:
         self.header: list[str] = said["header"]
         self.shown: str = said["shown"]
         self.own_stamps: bool = said["own"]
+        self.layout, self.unnamed = None, 0
         self._file, self._index, self._rows = file, index, rows
 
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
@@ -145,7 +144,7 @@ class _ForeignSheet:
         rows = selected(count, self._rows, self.where) if count else np.empty(0, int)
         for key, position, array in zip(keys, index, arrays, strict=True):
             if array.dtype.kind not in "biuf" and not (key == time and array.dtype.kind in "mM"):
-                raise LogError(f"column '{self.header[position]}' holds no numbers", where=self.where,
+                raise NoNumbersError(f"column '{self.header[position]}' holds no numbers", where=self.where,
                                remedy="map another column")
             if key == time:
                 made = stamps.of_column(array[rows - 1])

@@ -12,7 +12,17 @@ from hydroopt.errors import LogError
 from hydroopt.extras import needed
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.logs.table import Array, RawKey, Table, check_size, ends, find_column, selected, unreadable
+from hydroopt.logs.table import (
+    Array,
+    NoNumbersError,
+    RawKey,
+    Table,
+    check_size,
+    ends,
+    find_column,
+    selected,
+    unreadable,
+)
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
@@ -21,7 +31,7 @@ BATCH = 2**16
 class ParquetFile:
     """A Parquet file, in memory or on disk; sizes are judged from its metadata before anything is allocated."""
 
-    own_stamps, shown = False, ""
+    own_stamps, shown, layout, unnamed = False, "", None, 0
 
     def __init__(self, source: bytes | Path, where: str, layout: LogMap | None) -> None:
         needed("pyarrow", "Parquet files are read with pyarrow", where=where, error=LogError)
@@ -63,7 +73,7 @@ class ParquetFile:
         if moment and (types.is_timestamp(kind) or types.is_duration(kind)):
             return name
         if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
-            raise LogError(f"column '{name}' holds {kind}, not numbers", where=self.where,
+            raise NoNumbersError(f"column '{name}' holds {kind}, not numbers", where=self.where,
                            remedy="convert the column to float64")
         return name
 

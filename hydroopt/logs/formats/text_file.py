@@ -3,175 +3,195 @@
 from __future__ import annotations
 
 import csv
-import re
+import io
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs import stamps
-from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.logs.formats.text_dress import decoded, dress_of, lines_of
+from hydroopt.logs.column_map import Key, Layout, LogMap
+from hydroopt.logs.formats.text_layout import NO_NUMBER, cells_of, decoded, table_of
 from hydroopt.logs.stamps import Stamps
-from hydroopt.logs.table import Array, RawKey, Table, find_column, refuse_damage, selected
+from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, find_column, refuse_damage, selected
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SHEET = {"delimiter": "\t", "quote": "", "decimal": ".", "thousands": "", "encoding": "utf-8"}
+"""What is certain of a worksheet as text."""
 
 
 class TextFile:
-    """Delimited text; the header is `header` (empty for headerless files), `shown` what was taken of its dress."""
+    """Delimited text, parsed by pandas in the `layout` that a map states or, as far as it does not, the lines show.
+
+    `header` has the names of the columns; a table without it has `unnamed` columns. `shown` is what was decided.
+    """
 
     own_stamps = False
 
-    def __init__(self, data: bytes, where: str, layout: LogMap | None) -> None:
-        self.where, self._layout = where, layout or LogMap.model_construct(columns={})
-        text, encoding = decoded(data, self._layout.encoding, where)
-        lines, comments = lines_of(text, self._layout)
-        if not lines:
-            raise LogError("there are comments but no data", where=where, remedy="record it again")
-        dress = dress_of(lines, self._layout, where)
-        self.header, self._decimal, self._thousands = dress.header, dress.decimal, dress.thousands
-        dropped = f"{comments} comment line{'s' * (comments > 1)} left out" if comments else ""
-        self.shown = ", ".join(part for part in (encoding, dress.shown, dropped) if part)
-        self._lines, self._delimiter = lines[dress.first:], dress.delimiter
-        if not self._lines and len(lines[-1]) > csv.field_size_limit():
-            raise self._no_columns(lines[-1])
+    def __init__(self, data: bytes, where: str, mapping: LogMap | None, *, sheet: bool = False) -> None:
+        self.where, self._rows = where, mapping.rows if mapping else None
+        stated = Layout() if mapping is None else Layout(**mapping.model_dump(include=set(Layout.model_fields)))
+        if sheet:
+            stated = stated.model_copy(update=SHEET)
+        text, encoding = decoded(data, stated.encoding, where)
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        table = table_of(lines, stated.model_copy(update={"encoding": encoding}), where)
+        self._layout, self._places = table.layout, np.array(table.rows, int) + 1
+        self._lines = [lines[k] for k in table.rows]
+        self.layout = table.layout.model_copy(update=dict.fromkeys(SHEET)) if sheet else table.layout
+        self.header, self.shown = table.names, table.shown(stated)
+        if not self._lines and (longest := max(map(len, lines))) > csv.field_size_limit():
+            raise LogError(f"a line of {longest} characters cannot be split into columns", where=where,
+                           remedy="check the ends of its lines, its quotation marks and the delimiter")
         if not self._lines:
             raise LogError("there is a header but no data", where=where, remedy="record it again")
-        if dress.delimiter == "whitespace":
-            self._lines, self._delimiter = [" ".join(line.split()) for line in self._lines], " "
-        self._mark_dates()
+        self.unnamed = 0 if self.header else self._width
 
-    def _mark_dates(self) -> None:
-        """Give a time column of dates the unit that its stamps will have."""
-        for k, name in enumerate(self.header):
-            if name == "t" and stamps.looks_dated((self._split(self._lines[0]) + [""] * (k + 1))[k]):
-                self.header[k] = "t [s]"
+    @cached_property
+    def _counts(self) -> NDArray[np.int64]:
+        """Cells of each row; 0 where a quotation mark stays open, which would swallow the rows that follow."""
+        mark, quote = str(self._layout.delimiter), self._layout.quote or "\n"
+        blank = mark == "whitespace"
+        counts = np.array([len(line.split()) if blank else line.count(mark) + 1 for line in self._lines])
+        for k, line in enumerate(self._lines):
+            if quote in line:
+                counts[k] = 0 if line.count(quote) % 2 else len(cells_of(line, self._layout))
+        return counts
+
+    @cached_property
+    def _widths(self) -> NDArray[np.int64]:
+        """Columns of each row: its cells, but empty ones behind the last name."""
+        widths = self._counts.copy()
+        for k in np.flatnonzero(widths > len(self.header)) if self.header else ():
+            if not any(map(str.strip, cells_of(self._lines[k], self._layout)[len(self.header):])):
+                widths[k] = len(self.header)
+        return widths
+
+    @cached_property
+    def _width(self) -> int:
+        return len(self.header) or int(np.bincount(self._widths).argmax()) or 1
 
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
         """The columns `keys` as numbers, where empty cells and 'nan' are NaN, and the columns `texts` as they are."""
-        rows = selected(len(self._lines), self._layout.rows, self.where)
-        lines = [self._lines[r - 1] for r in rows]
-        widths = [self._width(line) for line in lines]
-        width = len(self.header) or max(1, int(np.bincount(widths).argmax()))
+        rows = selected(len(self._lines), self._rows, self.where)
+        widths, width = self._widths[rows - 1], self._width
         damage = {int(r): f"{w} of {width} columns" if w else "a quotation mark out of place"
-                  for r, w in zip(rows, widths, strict=True) if w != width}
-        index = [find_column(k, self.header, width, self.where) for k in keys if not isinstance(k, tuple)]
-        if len(index) < len(keys):
+                  for r, w in zip(rows[widths != width], widths[widths != width], strict=True)}
+        good = np.flatnonzero(widths == width)
+        table = Table({}, rows, damage, lines=self._places[rows - 1])
+        if any(isinstance(key, tuple) for key in keys):
             raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
                            remedy="use 'column'")
-        good = [i for i, w in enumerate(widths) if w == width]
-        if not good:
-            refuse_damage(damage, rows, self.where)
-        sound = [lines[i] for i in good]
-        found = self._parse(sound, index)
+        if not good.size:
+            refuse_damage(table, self.where)
+        index: dict[RawKey, int] = {key: find_column(key, self.header, width, self.where) for key in (*keys, *texts)
+                                    if not isinstance(key, tuple)}
+        sound = _Rows([self._lines[r - 1] for r in rows[good]], int(self._counts[rows[good] - 1].max()),
+                      self._places[rows[good] - 1], rows[good])
+        at = None if time is None else index[time]
+        dated = at is not None and any(
+            stamps.looks_dated(cells_of(line, self._layout)[at]) for line in sound.lines[:10])
+        words = {index[key] for key in texts} | ({at} if at is not None and dated else set())
+        frame = self._parsed(sound, {index[key] for key in keys if not isinstance(key, tuple)} - words, words)
+        made = None if at is None else self._stamps(frame[at], at, sound, dated=dated)
         columns: dict[RawKey, Array] = {}
-        made: Stamps | None = None
-        for key, position in zip(keys, index, strict=True):
+        for key in keys:
             values = np.full(rows.size, np.nan)
-            cells = found[position]
-            if key == time:
-                made = self._stamps(cells, position, sound, np.array(good), rows.size)
-                if made is not None and isinstance(cells, list):
-                    columns[key] = made.seconds()
-                    continue
-            if isinstance(cells, list):
-                bad = next(i for i, cell in enumerate(cells) if self._number(cell) is None)
-                raise LogError(f"'{cells[bad][:40]}' is not a number",
-                               where=f"{self.where}, data row {rows[good[bad]]}, {self._named(position)}",
-                               remedy="correct the cell, or select sound rows with 'rows = [first, last]' in a map")
-            values[good] = cells
+            if key != time or not dated:
+                values[good] = self._numbers(frame[index[key]], index[key], sound)
             columns[key] = values
-        return Table(columns, rows, damage, self._texts(texts, sound, width, np.array(good, int), rows.size), made)
+        if made is not None:
+            ticks = np.full(rows.size, stamps.MISSING)
+            ticks[good] = made.ticks
+            made = replace(made, ticks=ticks)
+            if time is not None and dated:
+                columns[time] = made.seconds()
+        found: dict[Key, list[str]] = {}
+        for key in texts:
+            column = np.full(rows.size, "", dtype=object)
+            column[good] = frame[index[key]]
+            found[key] = column.tolist()
+        return replace(table, columns=columns, texts=found, stamps=made)
 
-    def _named(self, position: int) -> str:
-        return f"column {position + 1} " + (f"'{self.header[position]}'" if self.header else "without name")
+    def _place(self, k: int, position: int, sound: _Rows) -> str:
+        """What a sentence calls a cell of the row k."""
+        name = f"'{self.header[position]}'" if self.header else "without name"
+        return f"line {sound.places[k]}, data row {sound.rows[k]}, column {position + 1} {name}"
 
-    def _stamps(self, cells: Array | list[str], position: int, sound: Sequence[str], good: NDArray[np.int64],
-                size: int) -> Stamps | None:
+    def _stamps(self, cells: pd.Series, position: int, sound: _Rows, *, dated: bool) -> Stamps | None:
         """The time's dates, or its epoch with all digits; None where it is neither."""
-        if isinstance(cells, list):
-            if not any(map(stamps.looks_dated, cells[:10])):
-                return None
-            made = stamps.of_texts(cells, self._layout.dates, f"{self.where}, {self._named(position)}")
-        else:
-            unit = stamps.epoch_unit(cells)
-            if unit is None:
-                return None
-            texts = self._columns(sound, [position])[position]
-            ticks = [stamps.exact_ticks(text.replace(self._decimal, "."), unit) for text in texts]
-            made = stamps.epoch(np.array(ticks, np.int64), 10**9, unit)
-        ticks_of_all = np.full(size, stamps.MISSING)
-        ticks_of_all[good] = made.ticks
-        return replace(made, ticks=ticks_of_all)
+        if dated:
+            return stamps.of_texts(cells.tolist(), self._layout.dates, self.where,
+                                   lambda k: self._place(k, position, sound))
+        unit = stamps.epoch_unit(self._numbers(cells, position, sound))
+        if unit is None:
+            return None
+        texts = self._parsed(sound, set(), {position})[position].str.replace(str(self._layout.decimal), ".")
+        return stamps.epoch(np.array([stamps.exact_ticks(text, unit) for text in texts], np.int64), 10**9, unit)
 
-    def _texts(self, keys: Sequence[Key], sound: Sequence[str], width: int, good: NDArray[np.int64],
-               size: int) -> dict[Key, list[str]]:
-        """Text columns of length `size`, '' in the rows that are not `good`."""
-        if not keys:
-            return {}
-        index = [find_column(key, self.header, width, self.where) for key in keys]
-        cells = self._columns(sound, index)
-        out = {}
-        for key, position in zip(keys, index, strict=True):
-            column = np.full(size, "", dtype=object)
-            column[good] = cells[position]
-            out[key] = column.tolist()
-        return out
+    def _parsed(self, sound: _Rows, numbers: set[int], texts: set[int]) -> pd.DataFrame:
+        """Columns as numbers, all as texts where one of them holds anything else, and columns of texts.
 
-    def _split(self, line: str) -> list[str]:
+        Raises:
+            LogError: the lines cannot be split.
+        """
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        layout = self._layout
+        kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, str)
         try:
-            return next(csv.reader([line], delimiter=self._delimiter), [""])
-        except csv.Error:
-            raise self._no_columns(line) from None
+            return pd.read_csv(
+                io.BytesIO("\n".join(sound.lines).encode()), header=None, names=range(sound.width), index_col=False,
+                sep=r"\s+" if layout.delimiter == "whitespace" else layout.delimiter, usecols=sorted(kinds),
+                dtype=kinds, decimal=layout.decimal, thousands=layout.thousands or None, quotechar=layout.quote or '"',
+                quoting=csv.QUOTE_MINIMAL if layout.quote else csv.QUOTE_NONE, keep_default_na=False,
+                na_values=dict.fromkeys(numbers, NO_NUMBER), skipinitialspace=True, skip_blank_lines=False,
+                low_memory=False)
+        except ValueError as error:
+            if numbers:
+                return self._parsed(sound, set(), numbers | texts)
+            raise LogError(f"its lines cannot be split into columns ({error})", where=self.where,
+                           remedy="check the ends of its lines, its quotation marks and the delimiter") from None
 
-    def _no_columns(self, line: str) -> LogError:
-        return LogError(f"a line of {len(line)} characters cannot be split into columns", where=self.where,
-                        remedy="check the ends of its lines, its quotation marks and the delimiter")
+    def _numbers(self, cells: pd.Series, position: int, sound: _Rows) -> Array:
+        """A column as numbers.
 
-    def _width(self, line: str) -> int:
-        """Number of columns; 0 where a quotation mark stays open, which would swallow the rows that follow."""
-        if '"' not in line:
-            return line.count(self._delimiter) + 1
-        try:
-            return len(next(csv.reader([line], delimiter=self._delimiter, strict=True)))
-        except csv.Error:
-            return 0
+        Raises:
+            LogError: a cell holds anything else; of kind NoNumbersError, if most of them do.
+        """
+        if cells.dtype == float:
+            return np.asarray(cells)
+        values = [self._number(cell) for cell in cells]
+        if None not in values:
+            return np.array(values, dtype=float)
+        k, kind = values.index(None), LogError
+        if 2 * values.count(None) > cells.str.strip().ne("").sum():
+            kind = NoNumbersError
+        raise kind(f"'{cells[k]:.40}' is not a number", where=f"{self.where}, {self._place(k, position, sound)}",
+                   remedy="correct the cell, or select sound rows with 'rows = [first, last]' in a map")
 
     def _number(self, cell: str) -> float | None:
-        if cell in ("NA", "null"):
+        text = cell.strip()
+        if text in NO_NUMBER:
             return np.nan
-        if self._thousands:
-            cell = cell.replace(self._thousands, "")
         try:
-            return float(cell.strip().replace(self._decimal, ".") or "nan") if "_" not in cell else None
+            plain = text.replace(self._layout.thousands or " ", "").replace(str(self._layout.decimal), ".")
+            return None if "_" in text else float(plain)
         except ValueError:
             return None
 
-    def _columns(self, lines: Sequence[str], index: Sequence[int]) -> dict[int, list[str]]:
-        """The cells of the columns `index`."""
-        rows = list(csv.reader(lines, delimiter=self._delimiter))
-        return {i: [row[i] if row else "" for row in rows] for i in set(index)}
 
-    def _parse(self, lines: Sequence[str], index: Sequence[int]) -> dict[int, Array | list[str]]:
-        """Columns as numbers; one that holds anything else comes back as its texts."""
-        wanted = sorted(set(index))
-        try:
-            table = np.loadtxt(self._plain(lines), delimiter=self._delimiter, usecols=wanted, comments=None,
-                               quotechar='"', ndmin=2)
-            return dict(zip(wanted, table.T.copy(), strict=True))
-        except ValueError:  # a cell is no plain number
-            out: dict[int, Array | list[str]] = {}
-            for i, cells in self._columns(lines, wanted).items():
-                numbers = [self._number(cell) for cell in cells]
-                out[i] = cells if None in numbers else np.array(numbers, dtype=float)
-            return out
+@dataclass(frozen=True)
+class _Rows:
+    """Sound rows: their `lines` of up to `width` cells, the `places` (N,) of these in the file, data `rows` (N,)."""
 
-    def _plain(self, lines: Sequence[str]) -> Sequence[str]:
-        """Lines with a decimal point, and nan in empty cells."""
-        text = "\n".join(lines)
-        if self._decimal not in (".", self._delimiter):
-            text = text.replace(self._decimal, ".")
-        between = re.escape(self._delimiter)
-        filled = re.sub(rf"(^|{between})(?={between}|$)", r"\1nan", text, flags=re.MULTILINE)
-        return filled.split("\n")
+    lines: Sequence[str]
+    width: int
+    places: NDArray[np.int64]
+    rows: NDArray[np.int64]

@@ -1,13 +1,18 @@
-"""Tables of text in every dress: what is detected is shown, and what could be either is refused."""
+"""Tables of text in every layout: what is decided is shown, and what could be either is refused."""
 
 import gzip
+import itertools
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from hydroopt.errors import LogError
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.log_files import read_log, read_recording
+from hydroopt.logs.map_proposal import propose_map
+from hydroopt.machine.machine_file import load_machine
+from studies.first_contact.layouts import SPOILT, layouts, read_back, spoilt, spoilt_layouts, written, wrong
 
 N = 60
 T = np.arange(N) / 50
@@ -27,40 +32,72 @@ def table(delimiter=",", decimal=".", *, above=(), header=None, below=(), end="\
     return end.join([*above, delimiter.join(header), *below, *rows]) + end
 
 
-DRESSES = {
-    "usual": (table(), None),
-    "German": (table(";", ","), "';' between columns, ',' for decimals"),
-    "tabs": (table("\t", "."), r"'\t' between columns"),
-    "tabs and commas": (table("\t", ","), r"'\t' between columns, ',' for decimals"),
-    "bars": (table("|"), "'|' between columns"),
-    "line ends of Windows": (table(";", ",", end="\r\n"), "';' between columns, ',' for decimals"),
-    "UTF-16": (table(";", ",").encode("utf-16"), "encoding UTF-16, ';' between columns, ',' for decimals"),
-    "preamble": (table(above=["Logger 7", "Serial: 12,3", ""]), "3 lines before the header"),
-    "comments": (table(above=["# made by a logger", "% at noon"]), "2 comment lines left out"),
-    "row of units": (table(header=NAMES, below=[",".join(UNITS)]), "units in the line below the header"),
-    "units in brackets": (table(";", ",", header=NAMES, below=["[s];[deg];[bar]"]),
-                          "';' between columns, units in the line below the header, ',' for decimals"),
-    "header in a comment": ("# " + table(), None),
-    "all of it": (table(";", ",", above=["Messung 3;Größe", "# x"], header=NAMES, below=[";".join(UNITS)]).encode(
-        "latin-1"), "encoding Latin-1, ';' between columns, 1 line before the header, units in the line below the "
-                    "header, ',' for decimals, 1 comment line left out"),
-}
+TRIED = list(layouts(3000, seed=5))[90::110]
+"""A slice of the layouts of the study `first_contact`, the random ones."""
 
 
-@pytest.mark.parametrize("case", DRESSES)
-def test_each_dress_reads_the_same_and_is_shown(tmp_path, case):
-    content, shown = DRESSES[case]
-    (tmp_path / "usual.csv").write_text(table())
-    (tmp_path / "log.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
-    usual, log = read_log(tmp_path / "usual.csv"), read_log(tmp_path / "log.csv")
-    assert log.t.tobytes() == usual.t.tobytes()
+@pytest.mark.parametrize("layout", TRIED, ids=range(len(TRIED)))
+def test_what_map_proposes_is_read_with_that_very_map(tmp_path, layout):
+    made = written(layout, rows=40)
+    assert wrong(made, read_back(made, tmp_path)) == []
+
+
+@pytest.mark.parametrize(("layout", "kind"), list(zip(spoilt_layouts(len(SPOILT)), SPOILT, strict=True)),
+                         ids=SPOILT)
+def test_damage_is_refused_with_the_number_of_its_line(tmp_path, layout, kind):
+    made, line = spoilt(written(layout, rows=40), kind)
+    with pytest.raises(LogError, match=rf"log\.csv, line {line}[:,]"):
+        read_back(made, tmp_path)
+
+
+def test_what_was_decided_is_said_and_a_map_that_states_it_needs_no_word(tmp_path):
+    file, to = tmp_path / "log.csv", tmp_path / "map.toml"
+    file.write_bytes(table(";", ",", above=["Messung 3;Größe", "# x"], header=NAMES, below=[";".join(UNITS)],
+                           end="\r\n").encode("latin-1") + b"# paused\r\nEnde\r\n")
+    usual = tmp_path / "usual.csv"
+    usual.write_text(table())
+    log = read_log(file)
     assert {name: x.tobytes() for name, x in log.channels.items()} == {
-        name: x.tobytes() for name, x in usual.channels.items()}
-    said = [f.text for f in log.findings if f.kind == "format"]
-    assert said == ([] if shown is None else [f"the file was read with {shown}"])
+        name: x.tobytes() for name, x in read_log(usual).channels.items()}
+    said = "1 comment line left out, 1 line behind the last row left out"
+    assert [f.text for f in log.findings if f.kind == "format"] == [
+        "the file was read with encoding Latin-1, ';' between columns, 2 lines before the header, units in the line "
+        f"below the header, ',' for decimals, {said}"]
+    to.write_text(propose_map(file, load_machine("cat215b")).toml())
+    mapped = read_log(file, mapping=to)
+    assert [f.text for f in mapped.findings if f.kind == "format"] == [f"the file was read with {said}"]
+    assert mapped.channels["boom_cylinder.p_head"].tobytes() == log.channels["boom_cylinder.p_head"].tobytes()
 
 
-def test_a_map_needs_no_dress(tmp_path):
+KEYS = {"skip": (None, 0, 1, 3, 99), "header": (None, True, False), "units_row": (None, True, False),
+        "footer": (None, 0, 1)}
+
+
+@pytest.mark.parametrize("stated", list(itertools.product(*KEYS.values())))
+def test_keys_of_the_layout_may_be_stated_in_any_combination(tmp_path, stated):
+    """With a title, a header and a row of units one answer is right by name, one by index; all others are refused."""
+    keys = {key: value for key, value in zip(KEYS, stated, strict=True) if value is not None}
+    (tmp_path / "log.csv").write_text(table(above=["Logger 7, of 2020"], header=NAMES, below=[",".join(UNITS)]))
+    by_name = keys.get("header", True)
+    columns = {name: {"column": name if by_name else k, "unit": unit} for k, (name, unit) in enumerate(
+        zip(NAMES, UNITS, strict=True))}
+    right = {"skip": 1 if by_name else 0, "header": by_name, "units_row": by_name, "footer": 0} | keys
+    sound = right in ({"skip": 1, "header": True, "units_row": True, "footer": 0},
+                      {"skip": 3, "header": False, "units_row": False, "footer": 0})
+    def read():
+        return read_log(tmp_path / "log.csv", mapping=LogMap.model_validate({**keys, "columns": columns}))
+
+    if sound:
+        np.testing.assert_allclose(read().channels["boom.q"], np.deg2rad(Q), atol=1e-7)
+    elif keys.get("header") is False and keys.get("units_row"):
+        with pytest.raises(ValidationError, match="'units_row' needs a header"):
+            read()
+    else:
+        with pytest.raises(LogError, match=r"log\.csv"):
+            read()
+
+
+def test_a_map_needs_no_layout(tmp_path):
     header = ["Zeit", "Ausleger (Grad)", "Druck Boden"]
     (tmp_path / "log.txt").write_text(table(";", ",", header=header, above=["Bagger 12;;"]), "latin-1")
     layout = LogMap.model_validate({"columns": {
@@ -143,7 +180,7 @@ def test_times_of_day_go_on_after_midnight(tmp_path):
     ("t", ["03/04/2026 04:20:00", "03/04/2026 04:20:01"], r"may state the day first or the month first; state dates ="),
     ("t [s]", ["1795407600000", "1795407600020"], "in s, but its numbers are an epoch in ms; state its unit as ms"),
     ("t", ["0", "1"], "the column has no unit"),
-    ("t", ["2026-11-23 04:20:00", "noon"], "'noon' in data row 2"),
+    ("t", ["2026-11-23 04:20:00", "noon", "2026-11-23 04:20:01"], "line 3, data row 2, column 1 't.*'noon' is no date"),
 ])
 def test_stamps_that_may_be_either_are_refused(tmp_path, header, stamps, pattern):
     with pytest.raises(LogError, match=pattern):
