@@ -194,7 +194,7 @@ def check_motion(machine: GivenMachine | Model, logs: Log | Sequence[Log], *, re
     Args:
         machine: with its limits, or its model.
         logs: with positions of all joints.
-        reserves: that are to be kept.
+        reserves: that are to be kept, but for `tracking`: what was driven may use the margin of a plan.
         known: of the parameters, by which pressures, valves and tipping are to keep them; by default the file's.
 
     Raises:
@@ -206,7 +206,8 @@ def check_motion(machine: GivenMachine | Model, logs: Log | Sequence[Log], *, re
     model = model_of(machine, "check_motion")
     given = all_of(logs, (Log,), "log", model.machine.name)
     motions = {log.path or log.name: reference_motion(model.machine, log, bounded=False) for log in given}
-    return MotionCheck(model, motions, Limits(model, reserves, known), Limits(model, Reserves.none(), known),
+    limits = Limits(model, reserves._replace(tracking=0.0), known)
+    return MotionCheck(model, motions, limits, limits.without_reserves(),
                        tuple({"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size,
                               "role": "checked"} for log in given))
 

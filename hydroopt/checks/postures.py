@@ -142,7 +142,8 @@ def check_postures(machine: GivenMachine, tables: Poses | Sequence[Poses], *,
     """
     described = machine_of(machine, "check_postures")
     chain = KinematicModel(described)
-    kept, itself = (PostureLimits(chain, each) for each in (reserves.checked(), Reserves.none()))
+    kept, itself = (PostureLimits(chain, each) for each in (
+        reserves.checked()._replace(tracking=0.0), Reserves.none()))
     given, found = all_of(tables, (Poses,), "table of poses", described.name), list[PoseOfTable]()
     for poses in given:
         q = _positions(chain, poses)

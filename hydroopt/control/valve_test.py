@@ -10,6 +10,10 @@ import numpy as np
 
 from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.errors import ProblemError
+from hydroopt.limits.limits import MARGIN as STOPPED
+from hydroopt.limits.reserves import DEFAULT
+from hydroopt.limits.use import UseOfLimit
+from hydroopt.limits.watch import Watch, largest_reach, watch
 from hydroopt.logs.log import Log
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import top_speed
@@ -90,21 +94,31 @@ class ValveTest:
         spools = [each.valve.natural_frequency for each in self.plant.actuators]
         return max([*filter(None, spools), self.plant.machine.bandwidth or 0.0]) if all(spools) else None
 
+    @cached_property
+    def watch(self) -> Watch:
+        """What people beside the machine keep."""
+        machine, uses = self.plant.machine, []
+        for joint, lowest, highest in zip(machine.joints, self.lower, self.upper, strict=True):
+            lower, upper = machine.link(joint).joint.range
+            margin = STOPPED * DEFAULT.tracking * (upper - lower)
+            uses.append(UseOfLimit(f"{joint} position", machine.channel_units[f"{joint}.q"], lower + margin,
+                                   float(lowest), float(highest), upper - margin, margin=margin, seen=True))
+        model = self.plant.model
+        return watch(model, largest_reach(model, self.lower, self.upper), uses, DEFAULT)
+
     def sheet(self) -> str:
         """What an operator, or a controller, has to do, in words."""
         machine = self.plant.machine
         lines = [f"Test of the valves of {machine.name}: {self.duration:.0f} s, in free space, without a load.", "",
-                 "Begin with every joint in the middle of its limits, at rest. Log commands, pressures of chambers",
-                 "and supply, and angles or lengths. Command one valve at a time, all others shut. Each step goes the",
-                 "other way than the one before; turn back at once where a joint would pass a limit. Try a quarter",
-                 "of the openings first, and stop where anything moves that should not.", ""]
+                 self.watch.list, "",
+                 "Begin with every joint in the middle of its planned range, at rest. Log commands, pressures of",
+                 "chambers and supply, and angles or lengths. Command one valve at a time, all others shut. Each step",
+                 "goes the other way than the one before; turn back at once where a joint would leave its planned",
+                 "range. Try a quarter of the openings first, and stop where anything moves that should not.", ""]
         if self.bandwidth:
             lines += [f"Steps move the machine at up to {self.bandwidth:g} Hz: identify its bodies from the log with "
                       f"--bandwidth {self.bandwidth:g}.", ""]
-        for joint, lower, upper in zip(machine.joints, self.lower, self.upper, strict=True):
-            turns = machine.channel_units[f"{joint}.q"] == "rad"
-            ends = [f"{np.degrees(end):.1f} deg" if turns else f"{end:.3f} m" for end in (lower, upper)]
-            lines.append(f"{joint}: from {ends[0]} to {ends[1]}")
+        lines += [self.watch.table]
         middle = (self.lower + self.upper) / 2
         for joint, places in self.plant.drivers.items():
             if len(places) > 1:

@@ -9,6 +9,8 @@ value that it keeps with the reserves' certainty.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection
+from copy import copy
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -42,13 +44,18 @@ VARIES = 1e-9
 """Change of a distance [m] from which on it varies."""
 WATCHED = 0.5
 """Distance [m] beyond their reserve within which the machine's own parts are watched."""
+MARGIN, POSTURES = 3.0, 200
+"""How many assumed tracking errors lie between a plan and the value at which it is stopped; random postures in which
+the largest effect of such an error is sought."""
 
 
 class Row(NamedTuple):
     """A limited quantity: name, unit, bounds, and the scale by which its values are divided.
 
-    Values below `floor` do not occur on the machine and count as `floor`. `low` names the link or strut whose height
-    above ground it is, and `passive` tells that it is what a passive joint leaves without balance.
+    Values below `floor` do not occur on the machine and count as `floor`. `margin` lies between the bounds and the
+    limit less its reserve: so far beyond the plan a motion is stopped. `seen` says whether people see it. `low`
+    names the link or strut whose height above ground it is, and `passive` says that it is what a passive joint leaves
+    without balance.
     """
 
     name: str
@@ -57,6 +64,8 @@ class Row(NamedTuple):
     upper: float
     scale: float
     floor: float = -np.inf
+    margin: float = 0.0
+    seen: bool = False
     low: str = ""
     passive: bool = False
 
@@ -68,9 +77,12 @@ class Limits:
         model: of the machine.
         reserves: that are kept of them.
         known: what is known of ψ; by default what the machine file states.
+        resting: joints that rest, without a tracking error.
+        near: distance [m] within which the machine's own parts are watched; by default `WATCHED` beyond their reserve.
 
     Attributes:
-        rows: what is bounded (m,), in the order of the function's output; bounds are less the reserves.
+        rows: what is bounded (m,), in the order of the function's output; bounds are less the reserves, and less the
+            margin of `Reserves.tracking`.
         function: casadi.Function (q, qd, qdd) → (m,). It does not contain the bounds, so that machines that differ
             only in bounds share its kernel.
         derivatives: of it, (m, 3n), by q, then qd, then qdd.
@@ -84,18 +96,20 @@ class Limits:
         >>> model = Model(load_machine("cat215b"))
         >>> limits, itself = Limits(model), Limits(model, Reserves.none())
         >>> {row.name: row.lower for row in limits.rows}["stick above ground"].__round__(2)
-        -1.4
+        -1.24
         >>> {row.name: row.lower for row in itself.rows}["stick above ground"]
         -1.7
     """
 
     back_pressure = BACK_PRESSURE
 
-    def __init__(self, model: Model, reserves: Reserves = DEFAULT, known: UncertainParameters | None = None) -> None:
+    def __init__(self, model: Model, reserves: Reserves = DEFAULT, known: UncertainParameters | None = None,
+                 resting: Collection[str] = (), near: float | None = None) -> None:
         model.refuse_seals("limits of a motion")
         self.model, self.reserves = model, reserves.checked()
         self.known = UncertainParameters.stated(model) if known is None else known
         self.hanging = Hanging(model)
+        self._near = self.reserves.between + WATCHED if near is None else near
         self._psi = ca.SX.sym("psi", len(model.parameters))
         self._force = self._worst(_actuator_forces(model, self._psi)) if model.machine.actuators else None
         self._entries: list[tuple[Row, ca.SX]] = []
@@ -108,18 +122,52 @@ class Limits:
         self._clearances()
         self._tipping()
         self._passive()
-        self.rows = tuple(row for row, _ in self._entries)
-        self.scale = np.array([row.scale for row in self.rows])
+        self.scale = np.array([row.scale for row, _ in self._entries])
         states, values = model.coordinates, ca.vertcat(*(value for _, value in self._entries))
         self.function = ca.Function("limits", [*states], [values], ["q", "qd", "qdd"], ["value"])
         self.derivatives = ca.Function("limits_derivatives", [*states],
                                        [ca.densify(ca.jacobian(values, ca.vertcat(*states)))],
                                        ["q", "qd", "qdd"], ["by_state"])
-        self.lower = np.array([row.lower for row in self.rows]) / self.scale
-        self.upper = np.array([row.upper for row in self.rows]) / self.scale
+        self._errors = self._tracking_errors()
+        self._bound(resting)
 
     def __reduce__(self) -> tuple[type[Limits], tuple[object, ...]]:
-        return Limits, (self.model, self.reserves, self.known)
+        return Limits, (self.model, self.reserves, self.known, self.resting, self._near)
+
+    def without_reserves(self) -> Limits:
+        """The limits of the machine itself, of the same quantities."""
+        return Limits(self.model, Reserves.none(), self.known, near=self._near)
+
+    def while_resting(self, joints: Collection[str]) -> Limits:
+        """The same limits while some joints rest."""
+        made = copy(self)
+        made._bound(joints)
+        return made
+
+    def _bound(self, resting: Collection[str]) -> None:
+        self.resting = tuple(resting)
+        moving = ~np.isin(self.model.machine.joints, self.resting)
+        margins = dict[str, float]()
+        for (row, _), errors in zip(self._entries, self._errors, strict=True):
+            margins[row.name] = max(margins.get(row.name, 0.0), float(np.linalg.norm(errors[moving])))
+        self.rows = tuple(row._replace(lower=row.lower + margins[row.name], upper=row.upper - margins[row.name],
+                                       margin=margins[row.name]) for row, _ in self._entries)
+        self.lower, self.upper = (np.array([getattr(row, side) for row in self.rows]) / self.scale
+                                  for side in ("lower", "upper"))
+
+    def _tracking_errors(self) -> Array:
+        """What `MARGIN` tracking errors of each joint make of each row (m, n), of lengths and angles alone, at most."""
+        joints, q = self.model.machine.joints, self.model.coordinates.q
+        low, high = np.array([self.model.machine.link(joint).joint.range for joint in joints]).T
+        places = [k for k, (row, _) in enumerate(self._entries) if row.unit in ("m", "rad")]
+        found = np.zeros((len(self._entries), len(joints)))
+        if self.reserves.tracking and places:
+            slopes = ca.Function("slopes", [q], [ca.densify(ca.jacobian(
+                ca.vertcat(*(self._entries[k][1] for k in places)), q))]).map(POSTURES)
+            drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(joints)))
+            by_q = np.abs(np.asarray(slopes(drawn.T))).reshape(len(places), POSTURES, len(joints))
+            found[places] = np.max(np.where(np.isfinite(by_q), by_q, 0.0), axis=1)
+        return np.asarray(MARGIN * self.reserves.tracking * (high - low) * found)
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """What is limited (N, m) in states (N, n), divided by the scales."""
@@ -142,7 +190,7 @@ class Limits:
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
              scale: float | None = None, floor: float = -np.inf, **of: Any) -> None:
         sizes = [abs(bound) for bound in (lower, upper) if np.isfinite(bound) and bound]
-        self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor, **of),
+        self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor=floor, **of),
                               value))
 
     def _joints(self) -> None:
@@ -151,7 +199,7 @@ class Limits:
             joint = machine.link(name).joint
             unit = "m" if joint.type == "prismatic" else "rad"
             lower, upper = joint.range
-            self._add(f"{name} position", unit, states.q[k], lower, upper, upper - lower)
+            self._add(f"{name} position", unit, states.q[k], lower, upper, upper - lower, seen=True)
             for what, limit, value, per in (("speed", joint.max_speed, states.qd[k], "/s"),
                                             ("acceleration", joint.max_acceleration, states.qdd[k], "/s^2")):
                 if limit is not None:
@@ -239,7 +287,7 @@ class Limits:
                 for end in (part.end,) if part.link else (part.start, part.end):
                     if _varies(end[2], self.model.coordinates.q):
                         self._add(f"{part.name} above ground", "m", end[2] - part.radius,
-                                  machine.ground + reserves.clearance, scale=1.0, low=part.name)
+                                  machine.ground + reserves.clearance, scale=1.0, seen=True, low=part.name)
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.SX(ca.DM(obstacle.centre)) if pose is None else pose.point(ca.DM(obstacle.centre))
@@ -247,10 +295,10 @@ class Limits:
                 away = self._from_obstacle(part, obstacle.link, centre, obstacle.radius)
                 if away is not None:
                     self._add(f"distance of {part.name} to {obstacle.name}", "m",
-                              away - part.radius - obstacle.radius, reserves.clearance, scale=1.0)
-        for one, other in pairs(self.model, reserves.between + WATCHED):
+                              away - part.radius - obstacle.radius, reserves.clearance, scale=1.0, seen=True)
+        for one, other in pairs(self.model, self._near):
             self._add(f"distance of {one.name} to {other.name}", "m", distance(one, other) - one.radius - other.radius,
-                      reserves.between, scale=1.0)
+                      reserves.between, scale=1.0, seen=True)
 
     def _from_obstacle(self, part: Part, carrier: str, centre: ca.SX, radius: float) -> ca.SX | None:
         """Distance of a part from the centre of a ball on a link.

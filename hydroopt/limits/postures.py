@@ -8,7 +8,8 @@ links away from obstacles. Its weight does not count, and its distance from the 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from copy import copy
 from typing import NamedTuple
 
 import casadi as ca
@@ -97,6 +98,12 @@ class PostureLimits:
                    for each in obstacles]
         self._centres = ca.Function("centres", [self.limits.model.coordinates.q],
                                     [ca.densify(ca.horzcat(ca.SX(3, 0), *centres))])
+
+    def while_resting(self, joints: Collection[str]) -> PostureLimits:
+        """The same limits while some joints rest."""
+        made = copy(self)
+        made.limits = self.limits.while_resting([joint for joint in joints if joint in self.machine.joints])
+        return made
 
     def hung(self, q: Array) -> Array:
         """Postures (N, n) in which passive joints of the machine hang; all others as given."""

@@ -14,7 +14,7 @@ from hydroopt.spatial.inertia import Array
 class UseOfLimit(NamedTuple):
     """What a motion uses of a limit, over all of its samples [`unit`]; infinite bounds are none.
 
-    `sample` is where it comes nearest to a bound.
+    `sample` is where it comes nearest to a bound; `margin` and `seen` are those of its row.
     """
 
     name: str
@@ -24,6 +24,14 @@ class UseOfLimit(NamedTuple):
     highest: float
     upper: float
     sample: int = 0
+    margin: float = 0.0
+    seen: bool = False
+
+    @property
+    def stop(self) -> tuple[float, float]:
+        """Values below and above which a motion is stopped, infinite where it is not: beyond the plan by the margin."""
+        return (self.lowest - self.margin if self.margin and np.isfinite(self.lower) else -np.inf,
+                self.highest + self.margin if self.margin and np.isfinite(self.upper) else np.inf)
 
     @property
     def room(self) -> float:
@@ -71,5 +79,6 @@ def _course(limits: Limits, values: Array, places: list[int]) -> Course:
     room = np.minimum(own - lower, upper - own)
     bounded = [[k for k, bound in enumerate(side) if np.isfinite(bound)] or range(len(rows)) for side in (lower, upper)]
     use = UseOfLimit(rows[0].name, rows[0].unit, max(lower), float(np.min(own[:, bounded[0]])),
-                     float(np.max(own[:, bounded[1]])), min(upper), int(np.argmin(np.min(room, axis=1))))
+                     float(np.max(own[:, bounded[1]])), min(upper), int(np.argmin(np.min(room, axis=1))),
+                     rows[0].margin, rows[0].seen)
     return Course(np.take_along_axis(own, np.argmin(room, axis=1)[:, None], axis=1)[:, 0], use)

@@ -185,6 +185,12 @@ class MachineDescription(Parts):
         moving = {name for joint in between for name in followed.get(joint, ())}
         return tuple(joint for joint in self.joints if joint in moving)
 
+    def moved_along(self, joint: str) -> tuple[str, ...]:
+        """Dependent joints that couplings move along with one joint, as the sections of a telescope on one chain."""
+        return tuple(other for coupling in self.couplings
+                     if [each for each in coupling.joints if each in self.joints] == [joint]
+                     for other in coupling.joints if other != joint)
+
     def link(self, name: str) -> Link:
         """The link of this name."""
         return next(link for link in self.links if link.name == name)

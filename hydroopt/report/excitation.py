@@ -61,7 +61,8 @@ def reserves_text(reserves: Reserves) -> str:
     """Reserves in words."""
     return (f"{plain(100 * reserves.flow, 3)} % of flow, {plain(100 * reserves.pressure, 3)} % of pressure and torque, "
             f"{plain(100 * reserves.tipping, 3)} % of what holds it against tipping, {plain(reserves.clearance, 3)} m "
-            f"to ground and obstacles, {plain(reserves.between, 3)} m between its own parts")
+            f"to ground and obstacles, {plain(reserves.between, 3)} m between its own parts, and three times a "
+            f"tracking error of {plain(100 * reserves.tracking, 3)} % of the joints' ranges")
 
 
 def _beside_random(excitation: Excitation) -> list[tuple[str, str, str]]:
@@ -90,8 +91,10 @@ def _limit(use: UseOfLimit) -> dict[str, str]:
     lower, lowest, highest, upper, room = (plain(0.0 if abs(x) < 1e-6 * largest else factor * x) for x in (
         use.lower, use.lowest, use.highest, use.upper, use.room))
     lowest = lowest if np.isfinite(use.lower) else NONE
+    stop = ", ".join(f"{word} {plain(factor * value)}" for word, value in zip(("below", "above"), use.stop, strict=True)
+                     if np.isfinite(value)) or NONE
     return {"name": use.name, "unit": name, "lower": lower, "lowest": lowest, "highest": highest, "upper": upper,
-            "room": room, "part": percent(use.part)}
+            "room": room, "stop": stop, "part": percent(use.part)}
 
 
 def _base(excitation: Excitation) -> list[tuple[str, str, str, str, str]]:

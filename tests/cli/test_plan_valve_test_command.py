@@ -24,7 +24,8 @@ def test_the_sheet_states_limits_and_steps(tmp_path: Path) -> None:
     printed = run("plan-valve-test", "cat215b", "-o", tmp_path)
     assert (tmp_path / "sheet.txt").read_text("utf-8").strip() == printed.strip()
     assert "Test of the valves of cat215b: 30 s" in printed
-    assert all(joint in printed for joint in ("swing: from", "boom: from", "stick: from"))
+    assert all(f"{joint} position" in printed for joint in ("swing", "boom", "stick"))
+    assert "Keep everyone" in printed
     with (tmp_path / "steps.csv").open(encoding="utf-8") as file:
         steps = list(csv.DictReader(file))
     assert {step["actuator"] for step in steps} == {"swing_motor", "boom_cylinder", "stick_cylinder"}

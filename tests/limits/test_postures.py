@@ -142,7 +142,7 @@ def test_other_reserves_are_kept_and_without_limits_postures_dig_into_the_ground
 
 def test_every_posture_is_judged_as_by_points_on_its_links() -> None:
     machine = machine_of(SURVEYED)
-    kept = PostureLimits(KinematicModel(machine))
+    kept = PostureLimits(KinematicModel(machine), Reserves(tracking=0.0))
     low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
     q = np.random.default_rng(3).uniform(low, high, (600, len(low)))
     broken = kept.broken(q)
@@ -159,7 +159,7 @@ def test_every_posture_is_judged_as_by_points_on_its_links() -> None:
 
 
 def test_machines_without_surroundings_leave_nothing_out() -> None:
-    plan = planned(load_machine("panda_mukca"), count=12)
+    plan = planned(load_machine("panda_mukca"), count=12, reserves=Reserves(tracking=0.0))
     assert plan.left_out.out == 0
     assert "All" in plan.left_out.sentence
     assert not plan.detours
@@ -187,7 +187,7 @@ def test_straight_moves_are_judged_on_the_way_and_the_order_avoids_them() -> Non
     """Between two sides of a tree in front of the machine the way is round, over it."""
     machine = read_machine(SURVEYED.replace('"6 m", "2.5 m", "2 m"', '"6.5 m", "0 m", "1.5 m"').replace(
         'radius = "1 m"', 'radius = "1.3 m"'))
-    kept = PostureLimits(KinematicModel(machine))
+    kept = PostureLimits(KinematicModel(machine), Reserves(tracking=0.0))
     left, right, above = [0.5, 0.66, -1.35, -0.51], [-0.5, 0.66, -1.35, -0.51], [0.0, 0.63, -0.66, -1.45]
     q = np.array([left, right, above])
     assert not any(np.any(each) for each in kept.broken(q).values())

@@ -49,8 +49,10 @@ def test_reserves_narrow_what_limits_allow() -> None:
     kept, bare = (courses(each, state, 0 * state, 0 * state) for each in (limits, itself))
     assert kept["pump flow"].use.upper == pytest.approx(0.9 * bare["pump flow"].use.upper)
     assert kept["boom_cylinder p_head"].use.upper == pytest.approx(0.9 * bare["boom_cylinder p_head"].use.upper)
-    assert kept["stick above ground"].use.lower == pytest.approx(bare["stick above ground"].use.lower + 0.3)
-    assert kept["distance of stick to cab"].use.lower == pytest.approx(0.3)
+    assert kept["stick above ground"].use.lower == pytest.approx(
+        bare["stick above ground"].use.lower + 0.3 + kept["stick above ground"].use.margin)
+    assert kept["distance of stick to cab"].use.lower == pytest.approx(
+        0.3 + kept["distance of stick to cab"].use.margin)
     foot, weight = CAT.machine.footprint, 9.81 * sum(
         CAT.parameters.nominal[block.start] for block in CAT.parameters.bodies.values())
     assert kept["tipping over edge 1"].use.lower == pytest.approx(0.1 * 1.2 * (weight + 9.81 * foot.mass), rel=1e-3)

@@ -16,7 +16,6 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.limits.limits import Limits
-from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.results.readable import readable
 from hydroopt.simulation.passive_joints import passive_motion
@@ -108,7 +107,7 @@ class _Search:
         self.size = self.high - self.low
         self.start, self.goal = limits.hanging.postures(np.array([start, goal]))
         at_start = self._at_rest(self.start[None])[0]
-        itself = Limits(limits.model, Reserves.none(), limits.known)
+        itself = limits.without_reserves()
         self._refuse(itself)
         # a start that leaves less than the reserves is left by motion, which takes a little of it, never of the limit
         self.lower = np.minimum(limits.lower, np.maximum(at_start - BACK_OFF,

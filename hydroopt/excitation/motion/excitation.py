@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -22,6 +22,7 @@ from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture
 from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.limits.use import Course, UseOfLimit, courses
+from hydroopt.limits.watch import Watch, reach, watch
 from hydroopt.logs.table import encoded_columns
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
@@ -43,14 +44,6 @@ SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
-
-
-class Swept(NamedTuple):
-    """The space that a machine moves in, in the base frame [m]: radius about its z axis, highest and lowest place."""
-
-    radius: float
-    highest: float
-    lowest: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,7 +181,9 @@ class Excitation(Answer):
             "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()}, "functions": list(basis.names),
             "coefficients": {joint: self.coefficients[:, k].tolist() for k, joint in enumerate(problem.machine.joints)},
             "limits": [{"name": use.name, "unit": use.unit, "lower": number(use.lower), "lowest": use.lowest,
-                        "highest": use.highest, "upper": number(use.upper), "room": use.room} for use in self.limits],
+                        "highest": use.highest, "upper": number(use.upper), "room": use.room, "margin": use.margin}
+                       for use in self.limits],
+            "people": self.watch.as_dict(),
             "base_parameters": [{"expression": name, "unit": unit, "std": number(std), "bias": number(bias)}
                                 for name, unit, std, bias in zip(self.names, self.units, self.accuracy.base,
                                                                  self.accuracy.bias, strict=True)]}
@@ -250,13 +245,11 @@ class Excitation(Answer):
         return np.asarray(model.over(model.forward_kinematics, self.trajectory.q)[-1][:, :3, 3])
 
     @cached_property
-    def swept(self) -> Swept:
-        """The space that the far ends of all links pass through, on the approach too."""
-        model = self.problem.information.model
+    def watch(self) -> Watch:
+        """What people beside the machine keep, on the approach too."""
+        limits = self.problem.limits
         q = np.vstack([self.trajectory.q, *([] if self.approach is None else [self.approach.trajectory.q])])
-        ends = np.concatenate([pose[:, :3, 3] for pose in model.over(model.forward_kinematics, q)])
-        return Swept(float(np.max(np.hypot(ends[:, 0], ends[:, 1]))), float(np.max(ends[:, 2])),
-                     float(np.min(ends[:, 2])))
+        return watch(limits.model, reach(limits.model, q), self.limits, limits.reserves)
 
     @property
     def base_nominal(self) -> Array:

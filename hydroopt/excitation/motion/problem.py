@@ -44,7 +44,7 @@ class ExcitationProblem(Shown):
 
     Args:
         information: the criterion, and the machine's parameters that the motion is to determine.
-        limits: of the machine.
+        limits: of the machine; joints that rest have no tracking error.
         basis: its functions of time.
         rate: samples per second of the controller.
         resting: joints that rest, and where [rad, m].
@@ -61,9 +61,10 @@ class ExcitationProblem(Shown):
     def __init__(self, information: Information, limits: Limits, basis: Basis, rate: float,
                  resting: Mapping[str, float] | None = None, inputs: Sequence[Mapping[str, Any]] = ()) -> None:
         check(basis, information.model.machine.bandwidth)
-        self.information, self.limits, self.basis, self.rate = information, limits, basis, rate
+        self.information, self.basis, self.rate = information, basis, rate
         joints = information.model.machine.joints
         self.resting, self.inputs = dict(resting or {}), tuple(inputs)
+        self.limits = limits.while_resting(self.resting)
         self.samples = _samples(basis, rate)
         for name, position in self.resting.items():
             if name not in joints:

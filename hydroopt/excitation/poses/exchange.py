@@ -172,7 +172,8 @@ class Sieve:
     """Lets postures of a group pass that keep the reserves, passive joints hanging, and counts the others."""
 
     def __init__(self, limits: PostureLimits, group: PoseGroup) -> None:
-        self.limits, self.left_out = limits, LeftOut()
+        self.limits = limits.while_resting((*group.locked, *limits.machine.base_joints))
+        self.left_out = LeftOut()
         self.held, self.closed = group.held(limits.machine), group.closed(limits.machine)
 
     def __call__(self, q: Array, geometry: Array) -> Array:

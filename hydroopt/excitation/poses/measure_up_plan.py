@@ -107,7 +107,7 @@ class MeasureUpPlan(PosePlan):
         """The measuring sheet as plain text: where to drive, what to read there, and what to expect."""
         text = [f"{self._effort} for {self.machine.name}: about {self.minutes:.0f} min. The tip is then known to "
                 f"{readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
-        text += ["", self.left_out.sentence, self.ways]
+        text += ["", self.watch.list, "", self.left_out.sentence, self.ways]
         if self.by_themselves:
             text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
         read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]

@@ -31,6 +31,7 @@ def in_passes(joint: Array, count: int) -> NDArray[np.intp]:
 def in_safe_order(limits: PostureLimits, group: PoseGroup, q: Array) -> NDArray[np.intp]:
     """Places (N,) of the postures (N, n) of a group, in an order with fewer moves that use a reserve; nearest first."""
     held, closed = (group.held(limits.machine),), group.closed(limits.machine)
+    limits = limits.while_resting(group.locked)
     away = np.max(np.abs(q[:, None] - q) / np.maximum(np.ptp(q, axis=0), 1e-9), axis=2)
 
     @cache

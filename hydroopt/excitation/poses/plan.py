@@ -11,7 +11,10 @@ import numpy as np
 
 from hydroopt.estimation.kinematic.observability import Observability
 from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
+from hydroopt.excitation.poses.readings import readings
 from hydroopt.limits.postures import LeftOut
+from hydroopt.limits.use import courses
+from hydroopt.limits.watch import IN_PRINT, Watch, reach, watch
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
@@ -23,6 +26,9 @@ from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
+
+STANDS = 1e-9
+"""Range [rad, m] over all poses below which a joint rests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,7 +158,7 @@ class PosePlan(Answer):
     def detours(self) -> Mapping[int, tuple[str, ...]]:
         """Poses to which joints must not all go straight from the one before, counted from 1, and the limits of the
         machine whose reserves that would use."""
-        limits, found = self.problem.limits, dict[int, tuple[str, ...]]()
+        limits, found = self.problem.limits.while_resting(self.joints), dict[int, tuple[str, ...]]()
         groups = [next(group for group in self.problem.groups if group.has(*(str(each[k]) for each in self.labels)))
                   for k in range(len(self.q))]
         held, closed = ([getattr(group, key)(self.machine) for group in groups] for key in ("held", "closed"))
@@ -203,17 +209,35 @@ class PosePlan(Answer):
                 "seed": self.seed, "condition_number": number(self.observability.condition_number),
                 "noise_amplification_index": number(self.observability.noise_amplification_index),
                 "log_det": number(self.log_det), "reserves": self.problem.reserves._asdict(),
-                "left_out": self.left_out._asdict(),
+                "left_out": self.left_out._asdict(), "people": self.watch.as_dict(),
                 "detours": [{"to": k, "limits": list(names)} for k, names in self.detours.items()]}
 
     def files(self) -> Mapping[str, str]:
         """Measuring sheet, table of poses to fill in, postures to drive to, and table of parameters."""
-        return {"sheet.txt": self.sheet(), "poses.csv": _csv(self.poses),
-                "postures.csv": _csv(self.postures), "parameters.csv": self.parameters.to_csv()}
+        return {"sheet.txt": self.sheet(), "poses.csv": self._csv(self.poses),
+                "postures.csv": self._csv(self.postures), "parameters.csv": self.parameters.to_csv()}
+
+    @cached_property
+    def watch(self) -> Watch:
+        """What people beside the machine keep."""
+        limits, reserves = self.problem.limits, self.problem.reserves
+        at_rest = limits.while_resting([joint for k, joint in enumerate(self.joints)
+                                        if np.ptp(self.q[:, k]) < STANDS]).limits
+        held = {f"{group.held(self.machine)} above ground" for group in self.problem.groups}
+        q = self.q[:, limits.places]
+        uses = [each.use for each in courses(at_rest, q, 0 * q, 0 * q).values() if each.use.name not in held]
+        ends = limits.chain.over(limits.chain.far_ends, limits.chain.parameters.nominal, self.q)[0].transpose(0, 2, 1)
+        own = self.machine.calibrator
+        first = len(self.machine.ancestry(own.parent)) - 1 if own is not None else len(ends[0]) - 1
+        attached = np.linalg.norm(np.diff(ends[:, first:], axis=1), axis=2).sum(axis=1).max()
+        return watch(at_rest.model, reach(at_rest.model, q), uses, reserves, attached=float(attached))
 
     def sheet(self) -> str:
-        """The measuring sheet as plain text: what to lock, what to move where, and the readings to expect."""
-        text = [f"{len(self.q)} poses for {self.machine.name}", "", self.left_out.sentence, self.ways]
+        """The measuring sheet as plain text: how far to stay away, what to lock, what to move where, what to read, and
+        when to stop; in the units of the table to fill in."""
+        text = [f"{len(self.q)} poses for {self.machine.name}", "", self.watch.list,
+                "- Read only while the machine rests and its controls are locked; nobody stands below a raised part.",
+                "", self.left_out.sentence, self.ways]
         for at, group in enumerate(self.problem.groups):
             rows = at * self.problem.count + np.arange(self.problem.count)
             columns: dict[str, list[str]] = {}
@@ -225,12 +249,41 @@ class PosePlan(Answer):
             columns |= {title: texts for _, title, texts in self._read_lengths(group)}
             held = [(joint, *self._printed(joint)) for joint in group.locked]
             lock = ", ".join(f"{joint} at {angle[rows[0]]} {unit}" for joint, unit, angle in held)
-            move = ", ".join(group.moves) or "all joints"
-            text += ["", f"{group}", f"  lock: {lock or 'nothing'}", f"  move: {move}", "",
-                     "  pose  " + "  ".join(columns)]
+            move = ", ".join(" and ".join((joint, *self.machine.moved_along(joint))) for joint in group.moves)
+            text += ["", f"{group}", f"  lock: {lock or 'nothing'}", f"  move: {move or 'all joints'}",
+                     *(f"  read: {each}" for each in self.to_read(group)), "", "  pose  " + "  ".join(columns)]
             text += [f"  {k + 1:4d}  " + "  ".join(f"{printed[k]:>{len(title)}}" for title, printed in columns.items())
                      for k in rows]
+        if self.watch.stops:
+            text += ["", "Stop at once beyond these values.", self.watch.table]
         return "\n".join(text) + "\n"
+
+    def to_read(self, group: PoseGroup) -> tuple[str, ...]:
+        """What to read in each pose of a group: with what, of what, and the columns of the table that it fills."""
+        taken = readings(self.problem.model, self.problem.channels)
+        datums = {datum.name for datum in self.machine.datums}
+        between = {each.name: " to ".join(each.between) for each in self.machine.distances}
+        tools = {"instrument": "instrument", "tape": "tape", "imu": "inclinometer", "transducer": "sensor",
+                 "datum": "datum", "calibrator": "calibrator"}
+        lines = []
+        for each in taken:
+            target = between.get(each.owner) or each.name.partition(".")[2]
+            if each.owner in datums and each.name != group.touch:
+                continue
+            if each.name.endswith(".length") and each.owner not in between:
+                what = f"length of {each.owner}, pin to pin ({tools[each.kind]})"
+            elif each.name == "tip":
+                what = "tip, by the tracker"
+            else:
+                what = f"{tools[each.kind]} {each.owner}{f': {target}' if target else ''}"
+            lines.append(f"{what} -> {', '.join(map(self._column, each.channels))}")
+        joints = [name for name in self.problem.channels if name.endswith(".q")]
+        return (*([f"sensors of the joints -> {', '.join(map(self._column, joints))}"] if joints else []), *lines)
+
+    def _column(self, channel: str) -> str:
+        """Header of a channel in the table to fill in."""
+        unit = self.machine.channel_units[channel]
+        return f"{channel} [{IN_PRINT[unit][0] if unit in IN_PRINT else unit}]"
 
     def _read_lengths(self, group: PoseGroup) -> list[tuple[str, str, list[str]]]:
         """Of the cylinders that move without their joint being read, or have a transducer: joint, title, texts (N,)."""
@@ -241,10 +294,8 @@ class PosePlan(Answer):
 
     def _printed(self, joint: str) -> tuple[str, list[str]]:
         """Unit and texts (N,) of a joint's variable."""
-        values = self._positions(joint)
-        if self.machine.channel_units[f"{joint}.q"] == "m":
-            return "mm", [f"{1e3 * value:.0f}" for value in values]
-        return "deg", [f"{np.round(np.degrees(value), 1) + 0.0:.1f}" for value in values]
+        unit, factor, decimals = IN_PRINT[self.machine.channel_units[f"{joint}.q"]]
+        return unit, [f"{np.round(factor * value, decimals) + 0.0:.{decimals}f}" for value in self._positions(joint)]
 
     def _positions(self, joint: str) -> Array:
         """(N,) positions of a joint [rad, m], of a dependent one at the nominal geometry."""
@@ -254,10 +305,10 @@ class PosePlan(Answer):
         rows = model.over(model.observed, model.parameters.nominal, self.q, np.zeros((len(self.q), model.place_size)))
         return rows[0][:, model.channels.index(f"{joint}.q"), 0]
 
-
-def _csv(poses: Poses) -> str:
-    """Text of a table; cells are empty where nothing is known yet, and set-ups are left out where there are none."""
-    setups = [{"setup": setup} for setup in poses.setup] if np.any(poses.setup != "") else [{}] * len(poses)
-    return csv_text([{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k], **setups[k],
-                      **{f"{name} [{poses.units[name]}]": number(float(values[k]))
-                         for name, values in poses.channels.items()}} for k in range(len(poses))])
+    def _csv(self, poses: Poses) -> str:
+        """Text of a table in the sheet's units; cells are empty where nothing is known yet, and set-ups are left out
+        where there are none."""
+        setups = [{"setup": setup} for setup in poses.setup] if np.any(poses.setup != "") else [{}] * len(poses)
+        return csv_text([{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k], **setups[k],
+                          **{self._column(name): number(float(values[k]) * IN_PRINT.get(poses.units[name], ("", 1))[1])
+                             for name, values in poses.channels.items()}} for k in range(len(poses))])

@@ -223,11 +223,14 @@ def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
 def test_sheet_states_what_to_do(plan):
     sheet = plan.sheet()
     parts = sheet.split("\n\n")
-    assert parts[1].splitlines() == [plan.left_out.sentence, plan.ways]
-    assert parts[2].splitlines() == ["stage 'stick_moves', fixture 'ball'",
-                                     "  lock: swing at 0.0 deg, boom at -27.8 deg, grapple_swing at 42.9 deg",
-                                     "  move: stick"]
-    title, *rows = parts[5].splitlines()
+    assert parts[1].startswith(f"- Keep everyone {plan.watch.distance:.1f} m away")
+    assert parts[2].splitlines() == [plan.left_out.sentence, plan.ways]
+    head, *read = parts[3].splitlines()[2:]
+    assert parts[3].splitlines()[:2] == ["stage 'stick_moves', fixture 'ball'",
+                                         "  lock: swing at 0.0 deg, boom at -27.8 deg, grapple_swing at 42.9 deg"]
+    assert head == "  move: stick"
+    assert read[0].startswith("  read: sensors of the joints -> ")
+    title, *rows = parts[6].splitlines()
     assert " ".join(title.split()) == ("pose boom [deg] boom_cylinder [mm] grapple [deg] yoke [deg] upper_arm [deg] "
                                        "forearm [deg]")
     values = np.array([row.split() for row in rows], dtype=float)
@@ -235,7 +238,8 @@ def test_sheet_states_what_to_do(plan):
     np.testing.assert_array_equal(values[:, 0], np.flatnonzero(own) + 1)
     np.testing.assert_allclose(values[:, 2], 1e3 * plan.lengths[own, 0], atol=0.5)
     np.testing.assert_allclose(values[:, [1, 3, 4, 5, 6]], np.degrees(plan.q[own][:, [1, 4, 5, 6, 7]]), atol=0.0501)
-    assert "cylinder" not in parts[7], "a motor moves the swing"
+    assert "cylinder [mm]" not in parts[8].splitlines()[0], "a motor moves the swing"
+    assert parts[9].startswith("Stop at once beyond these values.")
 
 
 def test_plan_can_be_read_back(plan, tmp_path):
@@ -370,7 +374,8 @@ def test_the_sheet_says_where_a_joint_stands_that_a_linkage_moves():
     """A sensor reads the basket's angle; the dynamic model computes it by its own closed form."""
     machine = load_machine("level_keeping_lift")
     plan = plan_poses(machine, 6, candidates=20, priors=True)
-    head, *rows = [line.split("  ") for line in plan.sheet().splitlines()[-7:]]
+    head, *rows = [line.split("  ") for line in
+                   plan.sheet().partition("  pose  ")[2].partition("\n\n")[0].splitlines()]
     printed = [float(row[-1]) for row in rows]
     model = hydroopt.Model(machine)
     expected = model.over(model.dependent_positions, plan.q)[0][:, machine.dependent_joints.index("basket"), 0]
