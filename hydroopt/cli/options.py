@@ -95,6 +95,7 @@ Bandwidth = Annotated[float | None, typer.Option(
 Reserve = Annotated[list[str] | None, typer.Option("--reserve", metavar="PART|KIND=AMOUNT", help=(
     "What is kept unused: '15 %' of flow, pressure and tipping (10 % if not given), or one kind, such as "
     "'clearance=0.5 m' to ground and obstacles (0.3 m), 'between=0.2 m' between the machine's own parts (0.1 m), "
+    "'tracking=1 %' of joints' ranges, of which plans keep three times (0.5 %), 'people=3 m' beyond the reach (2 m), "
     "'tipping=20 %' or 'certainty=99.9 %' under uncertain masses (99 %); repeatable."))]
 EstimateFolder = Annotated[Path | None, typer.Option("--estimate", metavar="DIR", help=(
     "Directory that identify wrote from this machine file: pressures, valves and tipping keep reserves under what it "

@@ -118,7 +118,8 @@ class Watch:
             for row in rows)])
 
 
-def watch(model: Model, planned: Reach, uses: Iterable[UseOfLimit], reserves: Reserves, *, attached: float = 0.0) -> Watch:
+def watch(model: Model, planned: Reach, uses: Iterable[UseOfLimit], reserves: Reserves, *,
+          attached: float = 0.0) -> Watch:
     """What people keep beside a machine.
 
     Args:

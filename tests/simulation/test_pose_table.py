@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
     with pytest.raises(ProblemError, match="'base_pitch\\.q' is not stated"):
         run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
     with pytest.raises(ProblemError, match="poses are at rest"):
-        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path)
+        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path / "rest")
 
 
 def test_the_survey_of_the_documentation_states_every_measurement() -> None:
@@ -85,3 +86,28 @@ def test_the_survey_of_the_documentation_states_every_measurement() -> None:
         *(f"station.{target}" for target in ("stick_prism", "bucket_prism", "mark_1", "mark_2", "mark_3")), "plate.tip",
         "rail.tip", "tape.length", "chassis_tilt.inclination", "stick_unit.accel"]
     assert machine.link("chassis").parent == "base_roll"
+
+
+def test_the_table_is_filled_in_in_the_units_of_the_sheet(plan: PosePlan, tmp_path: Path) -> None:
+    """A person writes degrees and millimetres where the header says so; the calibration of it is that of the readings."""
+    factors = {"deg": 180 / np.pi, "mm": 1e3, "rad": 1.0, "m": 1.0}
+    machine, model = surveyed()
+    read = simulate_poses(model, plan.postures, random=True, noise=False, seed=3).poses
+    plan.save(tmp_path)
+    with (tmp_path / "poses.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    units = {header.partition(" [")[0]: header.partition(" [")[2].rstrip("]") for header in rows[0] if " [" in header}
+    assert set(units.values()) == {"deg", "mm"}
+    for channel, unit in units.items():
+        assert f"{channel} [{unit}]" in plan.sheet(), "what is to be read stands on the sheet"
+        for row, value in zip(rows, read.channels.get(channel, np.full(len(rows), np.nan)), strict=True):
+            row[f"{channel} [{unit}]"] = "" if np.isnan(value) else repr(float(factors[unit] * value))
+    with (tmp_path / "filled.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    filled = read_poses(tmp_path / "filled.csv")
+    for channel in read.channels:
+        np.testing.assert_allclose(filled.channels[channel], read.channels[channel], rtol=1e-12)
+    ours, theirs = (calibrate(calibration_problem(machine, poses)) for poses in (filled, read))
+    assert ours["boom.a"].value == pytest.approx(theirs["boom.a"].value, abs=1e-9)
