@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 
 import hydroopt as ho
 from hydroopt.control.valve_test import valve_test
+from hydroopt.excitation.motion.approach import approach
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture
@@ -97,3 +98,10 @@ def test_sections_that_move_together_are_one_line() -> None:
     sheet = valve_test(ho.Plant(ho.load_machine("forestry_crane"))).watch
     assert [each.name for each in sheet.stops if "first" in each.name] == ["first (with second) position"]
     assert not any(each.name.startswith("second") for each in sheet.stops)
+
+
+def test_an_approach_is_planned_where_parts_come_near_each_other_within_the_reserve_alone() -> None:
+    limits = Limits(ho.Model(ho.load_machine("tampere_manipulator")))
+    assert [row.name for row in limits.rows] == [row.name for row in limits.without_reserves().rows]
+    found = approach(limits, np.array([0.4, -1.0, 0.3]), np.array([0.6, -1.2, 0.5]), 20.0)
+    np.testing.assert_allclose(found.trajectory.q[-1], [0.6, -1.2, 0.5])
