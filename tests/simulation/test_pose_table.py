@@ -90,14 +90,14 @@ def test_the_survey_of_the_documentation_states_every_measurement() -> None:
 
 def test_the_table_is_filled_in_in_the_units_of_the_sheet(plan: PosePlan, tmp_path: Path) -> None:
     """A person writes degrees and millimetres where the header says so; the calibration of it is that of the readings."""
-    factors = {"deg": 180 / np.pi, "mm": 1e3, "rad": 1.0, "m": 1.0}
+    factors = {"deg": 180 / np.pi, "mm": 1e3, "m/s^2": 1.0}
     machine, model = surveyed()
     read = simulate_poses(model, plan.postures, random=True, noise=False, seed=3).poses
     plan.save(tmp_path)
     with (tmp_path / "poses.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     units = {header.partition(" [")[0]: header.partition(" [")[2].rstrip("]") for header in rows[0] if " [" in header}
-    assert set(units.values()) == {"deg", "mm"}
+    assert set(units.values()) == {"deg", "mm", "m/s^2"}
     for channel, unit in units.items():
         assert f"{channel} [{unit}]" in plan.sheet(), "what is to be read stands on the sheet"
         for row, value in zip(rows, read.channels.get(channel, np.full(len(rows), np.nan)), strict=True):

@@ -67,6 +67,8 @@ class Excitation(Answer):
         >>> motion = ho.Excitation(problem, x)
         >>> motion.trajectory.q.shape, motion.limits[0].name
         ((1001, 1), 'lift position')
+        >>> motion.within_limits(x) is motion  # no joint swings
+        True
         >>> motion.approached_from({"lift": float(motion.trajectory.q[0, 0]) + 0.05}).approach.postures.shape
         (2, 1)
     """

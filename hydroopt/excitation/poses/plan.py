@@ -251,14 +251,14 @@ class PosePlan(Answer):
             lock = ", ".join(f"{joint} at {angle[rows[0]]} {unit}" for joint, unit, angle in held)
             move = ", ".join(" and ".join((joint, *self.machine.moved_along(joint))) for joint in group.moves)
             text += ["", f"{group}", f"  lock: {lock or 'nothing'}", f"  move: {move or 'all joints'}",
-                     *(f"  read: {each}" for each in self.to_read(group)), "", "  pose  " + "  ".join(columns)]
+                     *(f"  read: {each}" for each in self._to_read(group)), "", "  pose  " + "  ".join(columns)]
             text += [f"  {k + 1:4d}  " + "  ".join(f"{printed[k]:>{len(title)}}" for title, printed in columns.items())
                      for k in rows]
         if self.watch.stops:
             text += ["", "Stop at once beyond these values.", self.watch.table]
         return "\n".join(text) + "\n"
 
-    def to_read(self, group: PoseGroup) -> tuple[str, ...]:
+    def _to_read(self, group: PoseGroup) -> tuple[str, ...]:
         """What to read in each pose of a group: with what, of what, and the columns of the table that it fills."""
         taken = readings(self.problem.model, self.problem.channels)
         datums = {datum.name for datum in self.machine.datums}
