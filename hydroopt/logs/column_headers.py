@@ -11,12 +11,12 @@ from hydroopt.units import UnitError
 def parts_of(header: str) -> tuple[str, str | None]:
     """Name and unit of a header `name [unit]`; the header itself and None of any other.
 
-    >>> parts_of("boom.q [deg]"), parts_of("boom.q")
-    (('boom.q', 'deg'), ('boom.q', None))
+    >>> parts_of("boom.q [deg]"), parts_of("boom.q"), parts_of("position[boom] [rad or m]")
+    (('boom.q', 'deg'), ('boom.q', None), ('position[boom]', 'rad or m'))
     """
     header = header.strip()
-    name, found, rest = header.partition("[")
-    if not found or "]" in name or not rest.endswith("]") or "[" in rest or "]" in rest[:-1]:
+    name, found, rest = header.rpartition("[")
+    if not found or not rest.endswith("]") or "]" in rest[:-1] or name.count("[") != name.count("]"):
         return header, None
     return name.rstrip(), rest[:-1]
 

@@ -270,7 +270,7 @@ def _columns(sheet: Sheet, names: ChannelNames) -> Iterator[ColumnOf]:
         values = table.columns[index]
         if np.isfinite(values).any():
             dated = table.stamps is not None and not table.stamps.unit
-            yield ColumnOf(sheet, index, header, names.naming(header, sheet.name), values, dated)
+            yield ColumnOf(sheet, index, header, names.naming(header, f"{sheet.name} {sheet.title}"), values, dated)
 
 
 def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:

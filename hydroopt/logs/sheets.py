@@ -16,11 +16,15 @@ from hydroopt.logs.table import RawKey
 
 @dataclass(frozen=True)
 class Sheet:
-    """A sheet of a file by its name; that of a file with one sheet is empty unless there are several files."""
+    """A sheet of a file by its name; that of a file with one sheet is empty unless there are several files.
+
+    `title` is the name that the file itself has for it, such as a topic.
+    """
 
     name: str
     where: str
     content: LogFile
+    title: str = ""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import hashlib
 import io
 import math
 import os
+import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -246,7 +247,7 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
         return key
     count = header.count(key)
     if count == 0:
-        bare = [name.partition("[")[0].rstrip() for name in header]
+        bare = [re.sub(r"\s*\[[^\[\]]*\]$", "", name) for name in header]
         if bare.count(key) == 1:
             return bare.index(key)
         present = f"those present are {', '.join(header[:40])}" if header else "no header is read"

@@ -69,12 +69,14 @@ def header_of(header: str, names: Collection[str] = ()) -> Header:
 def units_of(text: str, name: str = "", *, listed: bool = False) -> tuple[str, ...]:
     """What the text of a unit may stand for, in a header of this name: nothing if it is none.
 
-    >>> units_of("Grad/s"), units_of("grad"), units_of("grad", "Neigung"), units_of("kWh"), units_of("KPA")
-    (('deg/s',), ('deg', 'gon'), ('deg',), ('kWh',), ('kPa',))
+    >>> units_of("Grad/s"), units_of("grad"), units_of("grad", "Neigung"), units_of("kWh"), units_of("rad or m")
+    (('deg/s',), ('deg', 'gon'), ('deg',), ('kWh',), ('rad', 'm'))
 
     Args:
         listed: whether only units of `spellings.toml` and powers, products and quotients of them count.
     """
+    if " or " in text:
+        return tuple(unit for each in text.split(" or ") for unit in units_of(each, name, listed=listed))
     plain = text.strip().rstrip(".").translate(_PLAIN).replace("**", "^")
     whole = [part for part in _OPERATOR.split(plain) if part] if _folded(plain) not in _words() else [plain]
     meant = [("/" if part.lower() in ("per", "pro", "/") else "*",) if k % 2 else _atom(part, name, listed)

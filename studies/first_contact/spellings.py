@@ -4,7 +4,8 @@ Each spelling of `spellings.toml` names all columns of one quantity of a simulat
 with four of them), in a CSV of its own, the other columns under their channels' names. A spelling counts as proposed if
 each of its columns is sure or likely, for its own channel in its own unit; as wrong if one is sure or likely for
 another channel or unit. One in three spellings is held out: no rule was written for it. Headers of other quantities
-("traps") carry an angle's or a pressure's values and must not be sure.
+("traps") carry an angle's or a pressure's values and must not be proposed. The signals of ROS stand in bags of versions
+1 and 2 and in MCAP files: JointState, FluidPressure with a topic for each chamber, and Imu; they must be sure.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_typestore
 
 from hydroopt.logs.map_proposal import MapProposal, propose_map
 from hydroopt.machine.machine import Machine
@@ -40,6 +43,7 @@ SCALES = {"deg": (180 / np.pi, "deg"), "rad": (1.0, "rad"), "deg_s": (180 / np.p
 """Number in a unit of an SI number, and how a map may state that unit."""
 INCLINED = ("pitch", "tilt", "incl", "neigung")
 """Words of spellings that no swing has, whose axis is upright."""
+STORAGES = ("ros1", "SQLITE3", "MCAP")
 SUFFIXES = {"angle": ("q",), "velocity": ("qd",), "pressure": ("p_head", "p_rod"), "length": ("length",),
             "gyro": ("gyro_x", "gyro_y", "gyro_z"), "acceleration": ("accel_x", "accel_y", "accel_z")}
 
@@ -101,8 +105,73 @@ def trapped(folder: Path) -> list[str]:
     return found
 
 
+def bag(folder: Path, kind: str, storage: str, topic: str) -> tuple[Path, Machine, dict[str, str]]:
+    """A bag with one kind of signals ("pressure", "imu", "joints"), and the channel of each column with its topic.
+
+    Args:
+        storage: "ros1", "SQLITE3" or "MCAP" of ROS 2; `topic`: its name with holes.
+    """
+    machine, columns = _log("excavator_imu" if kind == "imu" else "cat215b")
+    ros1 = storage == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    types = {name.rpartition("/")[2]: made for name, made in store.types.items()
+             if name.startswith(("sensor_msgs/", "geometry_msgs/", "std_msgs/msg/Header", "builtin_interfaces/"))}
+    path = folder / (f"{storage}.bag" if ros1 else storage)
+    writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(
+        path, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
+    ends = {"pressure": ("p_head", "p_rod"), "imu": ("gyro_x",), "joints": ("q",)}[kind]
+    own = [channel for channel in columns if channel.rpartition(".")[2] in ends]
+    expected: dict[str, str] = {}
+
+    def messages(channel: str) -> Iterator[tuple[str, Any]]:
+        name = channel.rpartition(".")[0]
+        for k in range(0, columns["t"].size, 5):
+            stamp = types["Time"](sec=1_790_000_000 + k // 50, nanosec=k % 50 * 20_000_000)
+            header = types["Header"](**({"seq": k} if ros1 else {}), stamp=stamp, frame_id=name)
+            if kind == "pressure":
+                yield "FluidPressure", types["FluidPressure"](header, columns[channel][k], 0.0)
+            elif kind == "joints":
+                some = own if "{" not in topic else [channel]
+                yield "JointState", types["JointState"](
+                    header, [each.removesuffix(".q") for each in some], np.array([columns[each][k] for each in some]),
+                    np.zeros(0), np.zeros(0))
+            else:
+                rate, a = ([columns[f"{name}.{quantity}_{axis}"][k] for axis in "xyz"] for quantity in ("gyro", "accel"))
+                yield "Imu", types["Imu"](header, types["Quaternion"](0.0, 0.0, 0.0, 1.0), np.zeros(9), types["Vector3"](
+                    *rate), np.zeros(9), types["Vector3"](*a), np.zeros(9))
+
+    with writer:
+        for channel in own if "{" in topic else own[:1]:
+            called = Spelling(kind, "", topic, 0).of(channel)
+            for k, (name, message) in enumerate(messages(channel)):
+                if not k:
+                    connection = writer.add_connection(called, message.__msgtype__, typestore=store)
+                data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, message.__msgtype__)
+                writer.write(connection, 1_790_000_000 * 10**9 + k * 10**8 + 3_000_000, data)
+            if kind == "imu":
+                part = channel.rpartition(".")[0]
+                expected |= {f"{part}.{quantity}_{axis}": f"{called} {field}.{axis}" for axis in "xyz" for quantity, field
+                             in (("gyro", "angular_velocity"), ("accel", "linear_acceleration"))}
+            elif kind == "joints":
+                expected |= {each: f"{called} position[{each.removesuffix('.q')}]"
+                             for each in (own if "{" not in topic else [channel])}
+            else:
+                expected[channel] = f"{called} fluid_pressure"
+    return path, machine, expected
+
+
+def sure_signals(folder: Path, kind: str, storage: str, topic: str) -> tuple[int, int, int]:
+    """How many signals of a bag there are, how many are sure, and how many are proposed as another channel."""
+    path, machine, expected = bag(folder, kind, storage, topic)
+    found = {each.channel: each for each in propose_map(path, machine).proposals if each.channel != "t"}
+    right = [channel for channel, column in expected.items() if channel in found and found[channel].sureness == "sure"
+             and f"{found[channel].column.sheet.title} {found[channel].column.header}".startswith(column)]
+    others = [channel for channel, each in found.items() if each.sureness != "guess" and channel not in expected]
+    return len(expected), len(right), len(others)
+
+
 def run() -> dict[str, float]:
-    """Spellings tried, proposed, wrong; the same of those held out; traps; spellings of IMUs."""
+    """Spellings tried, proposed, wrong; the same of those held out; traps; signals of ROS."""
     figures: dict[str, float] = {}
     with TemporaryDirectory() as directory:
         folder = Path(directory)
@@ -114,6 +183,14 @@ def run() -> dict[str, float]:
                         f"spellings_{quantity}_share": sum(right for right, _ in found.values()) / len(some),
                         f"spellings_{quantity}_held_out_share": sum(found[each][0] for each in held) / len(held),
                         f"spellings_{quantity}_wrong_and_sure": sum(wrong for _, wrong in found.values())}
+        signals = np.zeros(3, int)
+        for storage in STORAGES:
+            for kind, topics in _lists()["topics"].items():
+                for topic in topics:
+                    with TemporaryDirectory() as fresh:
+                        signals += sure_signals(Path(fresh), kind, storage, topic)
+        figures |= dict(zip(("spellings_ros_signals_tried", "spellings_ros_signals_sure", "spellings_ros_signals_wrong"),
+                            map(int, signals), strict=True))
         figures["spellings_traps_tried"] = len(_lists()["traps"]["headers"])
         figures["spellings_traps_proposed"] = len(trapped(folder))
     return figures

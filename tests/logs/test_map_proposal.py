@@ -273,6 +273,19 @@ def test_usual_spellings_are_proposed_and_none_is_wrong(quantity, tmp_path):
         assert not wrong, some[each]
 
 
+@pytest.mark.parametrize(("kind", "storage", "topic"), [
+    ("pressure", "SQLITE3", "/{p}/{c}_pressure"), ("imu", "MCAP", "/{p}_imu/data"), ("joints", "ros1", "/joint_states")])
+def test_messages_with_units_by_convention_are_sure(kind, storage, topic, tmp_path):
+    """Topics that name part and chamber, also one alone, whose name the map need not state."""
+    count, sure, wrong = spellings.sure_signals(tmp_path, kind, storage, topic)
+    assert (count, sure, wrong) == ({"pressure": 4, "imu": 24, "joints": 3}[kind], count, 0)
+
+
+def test_a_topic_alone_names_its_signal(tmp_path):
+    assert spellings.sure_signals(tmp_path, "joints", "ros1", "/excavator/joint_states") == (3, 3, 0)
+    assert spellings.sure_signals(tmp_path, "pressure", "MCAP", "/boom/head_pressure") == (1, 1, 0)
+
+
 def test_a_line_to_fill_in_has_the_unit_of_the_file(machine, log, tmp_path):
     names = FOREIGN | {"boom.q": ("Angle (°)", "deg", 180 / np.pi),
                        "boom_cylinder.p_head": ("Druck 1 [bar]", "bar", 1e-5)}

@@ -48,7 +48,7 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
                 stack.callback(foreign.close)
                 for name, sheet in foreign.sheets.items():
                     full = f"{front}:{name}" if front and name else front or name
-                    sheets.append(Sheet(full, f"{file}, {name}" if name else file, sheet))
+                    sheets.append(Sheet(full, f"{file}, {name}" if name else file, sheet, foreign.titles[name]))
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)

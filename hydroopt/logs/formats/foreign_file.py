@@ -58,6 +58,7 @@ class ForeignFile:
                                remedy="check what was recorded")
             alone = len(found) == 1
             self.sheets: dict[str, LogFile] = {}
+            self.titles = {"" if alone else each["name"]: str(each["name"]) for each in found}
             for k, each in enumerate(found):
                 check_size(each["rows"] * 8, path)
                 name = "" if alone else each["name"]

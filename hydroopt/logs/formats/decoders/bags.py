@@ -15,9 +15,24 @@ from rosbags.typesys import Stores, get_typestore
 
 from hydroopt.logs.formats.decoders.content import WIDEST, Column, Content, UnreadableError
 
-UNITS = {"sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
-         "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"}}
-"""Units that the standard messages of ROS define, by type and field."""
+UNITS = {
+    "sensor_msgs/msg/JointState": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N*m or N"},
+    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/msg/Temperature": {"temperature": "degC"},
+    "sensor_msgs/msg/Range": {"range": "m", "min_range": "m", "max_range": "m", "field_of_view": "rad"},
+    "sensor_msgs/msg/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/msg/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/msg/BatteryState": {"voltage": "V", "current": "A", "temperature": "degC"},
+    "geometry_msgs/msg/Wrench": {"force": "N", "torque": "N*m"},
+    "geometry_msgs/msg/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/msg/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
+    "geometry_msgs/msg/Pose": {"position": "m"}, "geometry_msgs/msg/Transform": {"translation": "m"},
+    "geometry_msgs/msg/PointStamped": {"point": "m"},
+    "trajectory_msgs/msg/JointTrajectoryPoint": {"positions": "rad or m", "velocities": "rad/s or m/s",
+                                                 "accelerations": "rad/s^2 or m/s^2", "effort": "N*m or N"}}
+"""Units of the standard messages of ROS by type and field, where several by kind of joint: by their definitions in
+common_interfaces, which follow REP 103, https://ros.org/reps/rep-0103.html."""
 DEPTH = 6
 """How deep fields are looked for."""
 
@@ -71,9 +86,7 @@ class _Messages:
 def _content(topic: str, kind: str, messages: Any, first: tuple[int, Any], count: int) -> Content:
     columns = []
     for path in _numbers(first[1]):
-        unit = next((unit for name, unit in UNITS.get(kind, {}).items() if path[0] == name), "")
-        name = _name(path, first[1])
-        columns.append(Column(name, unit, partial(_column, messages, path)))
+        columns.append(Column(_name(path, first[1]), _unit(path, first[1], kind), partial(_column, messages, path)))
     headed = _header_stamp(first[1]) not in (None, 0)
     shown = f"the stamps {'of the headers' if headed else 'of the recorder'} of its messages"
 
@@ -132,6 +145,16 @@ def _name(path: Sequence[str | int], message: Any) -> str:
     return text
 
 
+def _unit(path: Sequence[str | int], message: Any, kind: str) -> str:
+    """The unit of a number by the definition of its message, or of that within it in which the number stands."""
+    unit, item = "", message
+    for part in path:
+        own = kind if item is message else getattr(item, "__msgtype__", "")
+        unit = UNITS.get(own, {}).get(str(part), unit)
+        item = _get(item, part) if isinstance(part, str) else item[part]
+    return unit
+
+
 def _at(message: Any, path: Sequence[str | int]) -> float:
     """A number of a message, NaN where it is missing."""
     item = message
@@ -161,8 +184,10 @@ def _json_topics(path: Path) -> list[Content]:
         channels = list(summary.channels.values()) if summary is not None else []
         if not channels or any(channel.message_encoding != "json" for channel in channels):
             return []
-        rows: dict[str, list[tuple[int, Any]]] = {}
-        for _, channel, message in reader.iter_messages():
-            rows.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
-    return [_content(topic, "", _JsonMessages(found), found[0], len(found)) for topic, found in rows.items()
-            if len(found) > 1]
+        rows: dict[tuple[str, str], list[tuple[int, Any]]] = {}
+        for schema, channel, message in reader.iter_messages():
+            package, _, name = (schema.name if schema is not None else "").partition("/")
+            kind = f"{package}/msg/{name.removeprefix('msg/')}"
+            rows.setdefault((channel.topic, kind), []).append((message.log_time, json.loads(message.data)))
+    return [_content(topic, kind, _JsonMessages(found), found[0], len(found))
+            for (topic, kind), found in rows.items() if len(found) > 1]
