@@ -1,15 +1,9 @@
 """hydroopt calibrates hydraulically actuated manipulators: a machine and its logs in, a model with error bars out."""
 
 import os.path
-import sys
-from typing import Any
-
-# `python -m hydroopt` looks for modules in the working directory before all others; ours are not there, unless we are
-if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
-    del sys.path[0]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """A public name from its module: __init__.pyi lists all of them. Nothing is imported before one is used."""
     if name.startswith("__") and name != "__all__":
         raise AttributeError(name)

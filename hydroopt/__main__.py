@@ -1,13 +1,20 @@
 """The process of the command `hydroopt`, also as `python -m hydroopt`: what holds before anything is imported."""
 
+import os.path
+import sys
+
+# `python -m hydroopt` looks for modules in the working directory before all others; ours are not there, unless we are
+if __name__ == "__main__" and not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
+    del sys.path[0]
+
 import gc
 import os
 import signal
-import sys
 from types import FrameType
 
-from hydroopt.collector import RARE
-
+RARE = 50_000, 20, 20
+"""Thresholds of Python's garbage collector: at its own a command spends up to a third of its time on the search for
+cycles among the operations of a machine's equations."""
 INTERRUPTED = b"hydroopt: interrupted; no result was written\n"
 PLUGINS = "PYDANTIC_DISABLE_PLUGINS"
 """Environment variable without which pydantic reads the metadata of every installed package, in search of plug-ins

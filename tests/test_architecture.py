@@ -13,8 +13,8 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("collector", "errors", "interrupt", "matplotlib_import", "memory", "progress"),
-    ("extras", "bounded_minimum", "lapack", "spectra", "tails"),
+    ("errors", "interrupt", "memory", "progress"),
+    ("extras", "bounded_minimum", "spectra", "tails"),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("cache",),
     ("template_cache",),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
@@ -14,64 +13,33 @@ from matplotlib.figure import Figure
 
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.plots.figures import STYLE, svg
+from studies.first_contact import process
 
 ROOT = Path(__file__).parents[1]
-MODULES = ("ast", "casadi", "control", "cvxpy", "lazy_loader", "matplotlib", "numpy", "pickle", "selectors", "signal",
-           "socket", "struct", "tempfile", "threading", "typer")
-"""Names under which foreign modules lie there: of libraries, and of what Python itself imports to start a process."""
 
 
-@pytest.fixture
-def hostile(tmp_path: Path) -> Path:
-    """A folder whose files each leave `marker`, should anything run or obey them."""
-    for name in MODULES:
-        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'marker')!r}, 'a').write('{name} ')\n")
-    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: module://casadi\nno such setting\n")
-    (tmp_path / "ipopt.opt").write_text(f"output_file {tmp_path / 'marker'}\n")
-    for name in ("pyproject.toml", "hydroopt.toml", "patu655_lift", "patu655_lift.toml", "dask.yaml"):
-        (tmp_path / name).write_text("nothing that can be read [")
-    return tmp_path
+def test_imports_and_jobs_change_nothing_in_the_process() -> None:
+    modules, changes = process.changed()
+    assert modules > 100
+    assert not changes
 
 
-def run(folder: Path, *arguments: str) -> str:
-    """What a command prints in a folder; nothing was told of, or left there."""
-    before = set(folder.iterdir())
-    done = subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)})
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr
-    assert set(folder.iterdir()) == before
-    return done.stdout
+@pytest.mark.parametrize("commands", [process.COMMANDS[:1], pytest.param(process.COMMANDS, marks=pytest.mark.slow)],
+                         ids=["one", "all"])
+def test_commands_run_and_obey_nothing_that_lies_there(commands: tuple[tuple[str, ...], ...], tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    process.hostile(tmp_path / "there")
+    assert not [effect for each in commands for effect in process.effects_on(each, tmp_path / "there", tmp_path)]
 
 
-@pytest.mark.slow
-def test_a_command_runs_nothing_that_lies_there(hostile: Path) -> None:
-    assert "PATU 655" in run(hostile, "-m", "hydroopt", "show", "patu655_lift")
-
-
-@pytest.mark.slow
-def test_a_study_and_its_processes_run_nothing_that_lies_there(hostile: Path, tmp_path_factory: pytest.TempPathFactory
-                                                               ) -> None:
-    assert "1 cells, 0 failed" in run(
-        hostile, "-m", "hydroopt", "study", "montecarlo", "patu655_lift", "--cells", "1", "--processes", "1",
-        "--method", "nlp", "--duration", "6", "-o", str(tmp_path_factory.mktemp("out")))
-
-
-@pytest.mark.parametrize("module", [
-    "hydroopt.plots.figures", pytest.param("hydroopt.control.python_control", marks=pytest.mark.slow)])
-@pytest.mark.slow
-def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
-    code = f"import os, {module}, matplotlib as m; print(m.rcParams['text.usetex'], os.getcwd())"
-    assert run(hostile, "-P", "-c", code) == f"False {hostile}\n"
-
-
-def test_where_one_cannot_go_back_to_matplotlib_is_imported_from(tmp_path: Path) -> None:
+def test_a_command_runs_where_one_cannot_go_back(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
-    code = "import os, sys; os.rmdir(os.getcwd()); import hydroopt.plots.figures; print('matplotlib' in sys.modules)"
-    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=gone, capture_output=True, text=True, check=True,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)})
-    assert done.stdout == "True\n"
+    code = "import os; from hydroopt.__main__ import main; os.rmdir(os.getcwd()); main()"
+    done = subprocess.run([sys.executable, "-P", "-c", code, "show", "kr300"], cwd=gone, capture_output=True, text=True,
+                          check=False, env=process.ENVIRONMENT)
+    assert done.returncode == 0, done.stderr
+    assert "KR300" in done.stdout
 
 
 def test_figures_look_the_same_whatever_matplotlib_was_told() -> None:

@@ -20,7 +20,6 @@ from hydroopt.codegen.routines import ROUTINES, DesignedMotion, Interface
 from hydroopt.codegen.scale_tables import FILES, ScaleTables
 from hydroopt.codegen.sizes import sizes
 from hydroopt.codegen.symbols import Field, Routine, Struct
-from hydroopt.collector import rarely_collected
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.input_file import JSON_LIMIT, read_bytes
@@ -197,7 +196,6 @@ class Code:
         """What runs the self-test on a bare controller and counts there."""
         return {name: self._render(name) for name in ("bench.c", "cortex_m.ld")}
 
-    @rarely_collected()
     def files(self, progress: Progress = silent) -> dict[str, str]:
         """Every file by name."""
         progress("stating the routines", 0.0)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from hydroopt.kernels.shared_library import of_file
-from hydroopt.lapack import banded_forward
 from hydroopt.spatial.inertia import Array
 
 
@@ -43,7 +43,7 @@ def gathered(values: Array, first: NDArray[Any], columns: int, samples: Array) -
 def forward(factor: Array, right: Array) -> Array:
     """x (m, k) of L·x = right (m, k), L in lower band storage (w, m)."""
     if (library := _library()) is None:
-        return banded_forward(factor, right)
+        return np.asarray(lapack.dtbtrs(factor, right, uplo="L")[0])
     band, made = np.ascontiguousarray(factor.T, dtype=float), np.array(right, dtype=float, order="C")
     library.forward(*map(ctypes.c_long, band.shape), _at(band), ctypes.c_long(made.shape[1]), _at(made))
     return made

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_banded
 
-from hydroopt.lapack import banded_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -36,7 +36,7 @@ class CubicSpline:
         right[0] = ((h[0] + 2 * first) * h[1] * rise[0] + h[0] ** 2 * rise[1]) / first
         bands[1, -1], bands[2, -2] = h[-2], last
         right[-1] = (h[-1] ** 2 * rise[-2] + (2 * last + h[-1]) * h[-2] * rise[-1]) / last
-        self._slopes = banded_solved(1, 1, bands, right).reshape(self._values.shape)
+        self._slopes = solve_banded((1, 1), bands, right).reshape(self._values.shape)
 
     def __call__(self, times: Array, which: tuple[Any, ...] = ()) -> Array:
         """At some times (M, ...), all entries or those of an index; beyond the samples the outer pieces go on."""

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_banded
 
-from hydroopt.lapack import banded_solved
 from hydroopt.logs.readings import bridged
 from hydroopt.spatial.inertia import Array
 
@@ -56,7 +56,7 @@ def _stretch(t: Array, x: Array, lag: float) -> Array:
     driven = np.empty_like(x)
     driven[1:] = (1 - ramp)[:, None] * x[1:] + (ramp - keeps)[:, None] * x[:-1]
     driven[0] = x[0] - (x[1] - x[0]) / steps[0]
-    return banded_solved(1, 0, recursion, driven)
+    return solve_banded((1, 0), recursion, driven)
 
 
 def slowed(t: Array, y: Array, lag: float, wanted: float, segment: NDArray[np.int64] | None = None) -> Array:

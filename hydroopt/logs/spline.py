@@ -19,10 +19,10 @@ from math import comb, factorial
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from hydroopt.bounded_minimum import bounded_minimum
 from hydroopt.kernels import wide_windows, windows
-from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ class Pieces:
                     factor = basis.factor(Filter(log_weight))
                 except LinAlgError:
                     return np.inf
-                rss += float(np.sum((y - basis.design @ cholesky_solved(factor, right)) ** 2))
+                rss += float(np.sum((y - basis.design @ cho_solve_banded((factor, True), right)) ** 2))
                 freedom += 0.0 if known else float(np.sum(wide_windows.forward(factor, probes) ** 2)) / _PROBES
             freedom = self._freedom.setdefault(log_weight, freedom)
             if noise is not None:
@@ -266,15 +266,15 @@ class Basis:
         Raises:
             LinAlgError: rounding errors make their matrix singular.
         """
-        return banded_cholesky(self.gram + 10.0**chosen.log_weight * self.penalty)
+        return cholesky_banded(self.gram + 10.0**chosen.log_weight * self.penalty, lower=True)
 
     def solve(self, chosen: Filter, right: Array) -> Array:
         """Coefficients of the penalised normal equations, then of those of what each smoothing leaves."""
         factor = self.factor(chosen)
-        coefficients = cholesky_solved(factor, right)
+        coefficients = cho_solve_banded((factor, True), right)
         for _ in range(chosen.passes - 1):
             left = right - self.design.gathered(self.design @ coefficients)
-            coefficients = coefficients + cholesky_solved(factor, left)
+            coefficients = coefficients + cho_solve_banded((factor, True), left)
         return coefficients
 
     def solve_each(self, filters: Sequence[Filter], right: Array) -> Array:

@@ -12,8 +12,8 @@ noise of positions, σ in each sample, leaves ``σ·√(2·h̄·∫ (2πf)^(2k)�
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
-from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -44,7 +44,7 @@ def two_weights(t: Array, y: Array, speed: float, acceleration: float) -> Array:
     for i in range(3):
         for j in range(i, 3):
             banded[j - i, i : len(t) - 2 + i] += weight * rows[i] * rows[j]
-    q = cholesky_solved(banded_cholesky(banded), np.mean(steps) * y)
+    q = solveh_banded(banded, np.mean(steps) * y, lower=True)
     inner = rows[0, :, None] * q[:-2] + rows[1, :, None] * q[1:-1] + rows[2, :, None] * q[2:]
     return np.stack([q, np.gradient(q, t, axis=0), np.concatenate([inner[:1], inner, inner[-1:]])])
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hydroopt.plots.with_matplotlib  # noqa: F401
-
-# isort: split
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hydroopt.plots.with_matplotlib  # noqa: F401
-
-# isort: split
 from typing import TYPE_CHECKING
 
 import matplotlib

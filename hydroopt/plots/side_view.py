@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hydroopt.plots.with_matplotlib  # noqa: F401
-
-# isort: split
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes

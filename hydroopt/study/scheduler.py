@@ -88,11 +88,7 @@ def computed(study: Study, indices: Sequence[int], scheduler: str,
 
 @contextmanager
 def _client(scheduler: str) -> Iterator[Client]:
-    # the study itself reports lost processes and connections
-    for name in [*logging.root.manager.loggerDict, "asyncio"]:
-        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    with dask.config.set(CONFIG):
+    with _silent(), dask.config.set(CONFIG):
         security = _security(scheduler)
         try:
             asyncio.run(asyncio.wait_for(_answer(scheduler, security), PATIENCE))
@@ -103,6 +99,21 @@ def _client(scheduler: str) -> Iterator[Client]:
                                "prints, such as tcp://host:8786 or tls://host:8786") from None
         with client:
             yield client
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Messages of Dask's loggers are left out: the study itself reports lost processes and connections."""
+    loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict, "asyncio"]
+               if name.partition(".")[0] in ("distributed", "tornado", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def _security(scheduler: str) -> Security:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import cholesky_banded
 
 from hydroopt.kernels import shared_library, wide_windows
-from hydroopt.lapack import banded_cholesky
 
 
 @pytest.mark.usefixtures("vectors")
@@ -33,7 +33,7 @@ def test_a_triangle_is_solved(columns: int, width: int, count: int) -> None:
     rng = np.random.default_rng(columns)
     band = rng.standard_normal((width, columns))
     band[0] = 3.0 * width + rng.random(columns)
-    factor = banded_cholesky(band)
+    factor = cholesky_banded(band, lower=True)
     L = np.zeros((columns, columns))
     for below in range(width):
         L += np.diag(factor[below, : columns - below], -below)

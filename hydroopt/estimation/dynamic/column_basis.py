@@ -9,9 +9,9 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr, solve_triangular
 
 from hydroopt.estimation.inference.identifiability import PRESSURES, random_states
-from hydroopt.lapack import pivoted_triangle, triangle_solved
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -102,10 +102,10 @@ def column_bases(model: Model) -> list[ColumnBasis]:
 def _basis(K: Array, others: Array, own: NDArray[np.intp]) -> ColumnBasis:
     size = np.maximum(np.linalg.norm(K[:, own], axis=0), np.finfo(float).tiny)
     K, others = K[:, own] / size, others[:, own] / size
-    R, order = pivoted_triangle(K)
+    R, order = qr(K, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R))
     rank = int(np.sum(diagonal > INDEPENDENT * diagonal.max(initial=0.0)))
-    weights = triangle_solved(R[:rank, :rank], R[:rank, rank:])
+    weights = solve_triangular(R[:rank, :rank], R[:rank, rank:])
     weights[np.abs(weights) < NO_SHARE] = 0.0
     left = np.linalg.norm(others[:, order[:rank]] @ weights - others[:, order[rank:]], axis=0)
     follows = left <= DEPENDENT * np.linalg.norm(others[:, order[rank:]], axis=0)

@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solveh_banded
 
 from hydroopt import tails
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
-from hydroopt.lapack import inverse_of_positive, tridiagonal_solved
 from hydroopt.spatial.inertia import Array
 
 ROUNDS = 6
@@ -142,7 +142,8 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
             share[k] = _share(float(z @ products[k].sum(axis=0).reshape(PP.shape) @ z), float(z @ one @ z))
         z = np.linalg.lstsq(P, prior[1], rcond=None)[0]
     for _ in range(ROUNDS):
-        inverse = inverse_of_positive((weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP)
+        information = (weight @ products.sum(axis=1)).reshape(PP.shape) + belief * PP
+        inverse = cho_solve(cho_factor(information), np.eye(len(PP)))
         unshrunk = sum((share[k] * weight[k] * one @ z for k, one in added.items()), np.zeros(len(PP)))
         z = inverse @ (weight @ sides + unshrunk + belief * P.T @ prior[1])
         squares = np.array([np.bincount(of, (rows @ z - block[:, -1]) ** 2, counts.shape[1])
@@ -244,7 +245,7 @@ def students(freedom: Array) -> Array:
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
     """Most probable variances (n, B) of neighbouring bands and their freedom, from estimates with their own freedom."""
     coupling = _coupling(estimate.shape[1])
-    own, beside = np.diag(coupling) + 1e-9, np.tile(np.append(np.diag(coupling, 1), 0.0), len(estimate))[:-1]
+    own, beside = np.diag(coupling) + 1e-9, np.tile(np.append(np.diag(coupling, 1), 0.0), len(estimate))
     total = np.sum(freedom, axis=1, keepdims=True)
     mean = np.where(total > 0, np.sum(freedom * estimate, axis=1, keepdims=True) / np.where(total > 0, total, 1.0), 1.0)
     x, half = np.zeros_like(estimate), freedom / 2
@@ -253,7 +254,7 @@ def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
         expected = shown * np.exp(-x)
         slope = half - expected + x @ coupling
         bent = own + np.maximum(expected, 0.1 * half)
-        step = tridiagonal_solved(bent.ravel(), beside, slope.ravel()).reshape(x.shape)
+        step = solveh_banded(np.stack([bent.ravel(), beside]), slope.ravel(), lower=True).reshape(x.shape)
         x -= np.minimum(np.maximum(step, -1), 1)
         if np.abs(step[sound[:, 0]]).max(initial=0.0) < 1e-6:
             break

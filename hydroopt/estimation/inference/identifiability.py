@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import svd
 
-from hydroopt.lapack import singular_values
 from hydroopt.model.model import Model
 from hydroopt.model.recent import KEPT
 from hydroopt.spatial.inertia import Array
@@ -97,7 +97,7 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = STRUCT
     present = np.flatnonzero(significant(lengths, ROUNDING_TOLERANCE))
     scaled = R[:, present] / lengths[present]
     # divide and conquer, NumPy's way, now and then does not converge where singular values are but rounding errors
-    _, singular, axes = singular_values(scaled) if scaled.size else (None, np.zeros(0), np.eye(len(present)))
+    _, singular, axes = svd(scaled, lapack_driver="gesvd") if scaled.size else (None, np.zeros(0), np.eye(len(present)))
     cut = tolerance * (singular[0] if singular.size else 1.0)
     rank = int(np.sum(significant(singular, tolerance)))
     chosen = _first_independent(scaled, rank, cut)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import svd
 
 from hydroopt.estimation.inference.identifiability import (
     RANK_TOLERANCE,
@@ -13,7 +14,6 @@ from hydroopt.estimation.inference.identifiability import (
     analyse,
     significant,
 )
-from hydroopt.lapack import singular_values
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
@@ -94,7 +94,7 @@ def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | No
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
-    U, s, Vt = singular_values(R / lengths, full=False)
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
     projected = U.T @ r
     if strength is None:
         outside = rest + max(float(r @ r - projected @ projected), 0.0)
@@ -115,7 +115,7 @@ def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
-    U, s, Vt = singular_values(R / lengths, full=False)
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
     kept = significant(s, tolerance)
     return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())
 

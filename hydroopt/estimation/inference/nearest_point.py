@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.whitening import GaussianPosterior
-from hydroopt.lapack import given_alone
 from hydroopt.spatial.inertia import Array
 
 TOLERANCE = 1e-10
@@ -29,23 +28,6 @@ BY_COLUMN = np.lexsort(UPPER)
 """Entries of an upper triangle, which we have row by row, in Clarabel's order: column by column."""
 LENGTH = np.where(DIAGONAL, 1.0, np.sqrt(2.0))
 """What gives the triangle the length of the matrix."""
-
-
-class _ByColumn(NamedTuple):
-    """A sparse matrix column by column: what Clarabel reads of one of SciPy's, which take long to load."""
-
-    data: Array
-    indices: NDArray[np.int32]
-    indptr: NDArray[np.int32]
-    shape: tuple[int, int]
-    has_canonical_format: bool = True
-
-    @classmethod
-    def of(cls, matrix: Array) -> _ByColumn:
-        """The entries (m, k) that are not zero."""
-        columns, rows = np.nonzero(matrix.T)
-        ends = np.searchsorted(columns, np.arange(matrix.shape[1] + 1))
-        return cls(matrix[rows, columns], rows.astype(np.int32), ends.astype(np.int32), matrix.shape)
 
 
 class Nearest(NamedTuple):
@@ -108,9 +90,8 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> Nearest 
     # coordinates are whitened: scaling the rows as well costs steps, and without noise the end of the search
     answers = []
     for settings.equilibrate_enable in (False, True):
-        with given_alone():
-            answers.append(clarabel.DefaultSolver(_ByColumn.of(np.eye(len(target))), -target, _ByColumn.of(-slope),
-                                                  constant, kinds, settings).solve())
+        answers.append(clarabel.DefaultSolver(csc_matrix(np.eye(len(target))), -target, csc_matrix(-slope), constant,
+                                              kinds, settings).solve())
         if str(answers[-1].status) == "Solved" or "PrimalInfeasible" in str(answers[-1].status):
             break
     # of two that are almost solved the latter, whose constraints hold more closely

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from hydroopt.lapack import banded_cholesky, cholesky_solved
 from hydroopt.spatial.inertia import Array
 
 
@@ -32,12 +32,12 @@ class Bordered:
 
     @cached_property
     def _factor(self) -> Array:
-        return banded_cholesky(self.band)
+        return cholesky_banded(self.band, lower=True)
 
     @cached_property
     def _solved(self) -> tuple[Array, Array]:
         """A⁻¹·B and A⁻¹·a."""
-        found = cholesky_solved(self._factor, np.column_stack([self.border, self.right]))
+        found = cho_solve_banded((self._factor, True), np.column_stack([self.border, self.right]))
         return found[:, :-1], found[:, -1]
 
     @property

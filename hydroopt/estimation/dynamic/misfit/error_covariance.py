@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded
 
 from hydroopt.kernels import wide_windows
-from hydroopt.lapack import banded_cholesky
 from hydroopt.logs.spline import Basis, Grid
 from hydroopt.logs.windowed_rows import WindowedRows
 from hydroopt.spatial.inertia import Array
@@ -102,4 +102,4 @@ class ErrorCovariance:
                             / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
         band = np.zeros((n * SUPPORT, n * size))
         band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
-        return banded_cholesky(band + self._sensitivity.gram)
+        return cholesky_banded(band + self._sensitivity.gram, lower=True)
