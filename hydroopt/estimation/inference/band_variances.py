@@ -254,7 +254,8 @@ def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
         expected = shown * np.exp(-x)
         slope = half - expected + x @ coupling
         bent = own + np.maximum(expected, 0.1 * half)
-        step = solveh_banded(np.stack([bent.ravel(), beside]), slope.ravel(), lower=True).reshape(x.shape)
+        bands = np.stack([bent.ravel(), beside])[: x.size]  # one unknown has no neighbours
+        step = solveh_banded(bands, slope.ravel(), lower=True).reshape(x.shape)
         x -= np.minimum(np.maximum(step, -1), 1)
         if np.abs(step[sound[:, 0]]).max(initial=0.0) < 1e-6:
             break
