@@ -48,7 +48,7 @@ class PosePlan(Answer):
     >>> plan = hydroopt.solve(problem, candidates=50, seed=1)
     >>> plan
     <pose plan of cat215b by exchange, D criterion: ok, 40 parameters, 1 diagnostics>
-    >>> plan.poses.stage[0], plan.poses.channels["boom.q"].shape
+    >>> plan.poses.stage[0], plan.poses.channels["yoke.q"].shape
     (np.str_('stick_moves'), (15,))
     >>> plan.sheet().splitlines()[0]
     '15 poses for cat215b'
@@ -184,10 +184,9 @@ class PosePlan(Answer):
 
     @property
     def poses(self) -> Poses:
-        """The table to fill in: zero where a datum is touched, all else empty, so that no planned position passes for a
-        reading."""
-        names = dict.fromkeys((*(f"{joint}.q" for joint in self.joints), *self.problem.channels))
-        return self._table({name: np.full(len(self.q), np.nan) for name in names} | self._touches)
+        """The table to fill in, with the channels that are read: zero where a datum is touched, all else empty, so that
+        no planned position passes for a reading."""
+        return self._table({name: np.full(len(self.q), np.nan) for name in self.problem.channels} | self._touches)
 
     @property
     def _touches(self) -> dict[str, Array]:
