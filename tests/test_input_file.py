@@ -93,8 +93,8 @@ def test_headers_take_no_time(text):
 
 
 @pytest.mark.parametrize(("text", "parts"), [
-    (" boom.q [deg] ", ("boom.q", "deg")), ("boom.q", ("boom.q", None)), ("t[s]", ("t", "s")), ("a [b] [c]", ("a [b]", "c")),
-    ("a [b", None), ("a] [b]", None), ("a [[b]]", None), ("[s]", ("", "s"))])
+    (" boom.q [deg] ", ("boom.q", "deg")), ("boom.q", ("boom.q", None)), ("t[s]", ("t", "s")),
+    ("a [b] [c]", ("a [b]", "c")), ("a [b", None), ("a] [b]", None), ("a [[b]]", None), ("[s]", ("", "s"))])
 def test_headers_have_a_name_and_a_unit(text, parts):
     assert parts_of(text) == (parts or (text, None))
 

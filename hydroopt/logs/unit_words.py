@@ -19,7 +19,7 @@ TIMES = ("ms", "us", "ns")
 """Units that name a column of the time by themselves, beside words for the second of three letters and more."""
 _PLAIN = str.maketrans({"²": "2", "³": "3", "μ": "u", "µ": "u", "·": "*", "\u202f": " ", "\xa0": " "})
 _BRACKETS = re.compile(r"(.*?\S)\s*[\[({]([^\[\](){}]*)[\])}]")
-_GAUGE = re.compile(r"\b(bar|psi)\s*\(g\)", re.IGNORECASE)
+_GAUGE = re.compile(r"\b(bar|psi)\s*\([ga]\)", re.IGNORECASE)
 _OPERATOR = re.compile(r"\s*(/|\*|\bper\b|\bpro\b)\s*", re.IGNORECASE)
 _POWER = re.compile(r"(.+?)\^?([23])")
 _RATE = re.compile(r"(.*[^\W_])_+(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", re.IGNORECASE)

@@ -11,7 +11,7 @@ another channel or unit. One in three spellings is held out: no rule was written
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,6 +44,8 @@ SCALES = {"deg": (180 / np.pi, "deg"), "rad": (1.0, "rad"), "deg_s": (180 / np.p
 INCLINED = ("pitch", "tilt", "incl", "neigung")
 """Words of spellings that no swing has, whose axis is upright."""
 STORAGES = ("ros1", "SQLITE3", "MCAP")
+EVERY = 5
+"""Samples of the log of which a bag has one."""
 SUFFIXES = {"angle": ("q",), "velocity": ("qd",), "pressure": ("p_head", "p_rod"), "length": ("length",),
             "gyro": ("gyro_x", "gyro_y", "gyro_z"), "acceleration": ("accel_x", "accel_y", "accel_z")}
 
@@ -106,58 +108,64 @@ def trapped(folder: Path) -> list[str]:
 
 
 def bag(folder: Path, kind: str, storage: str, topic: str) -> tuple[Path, Machine, dict[str, str]]:
-    """A bag with one kind of signals ("pressure", "imu", "joints"), and the channel of each column with its topic.
+    """A bag with signals of a kind ("pressure", "imu", "joints"), its machine, and topic and column of each channel.
 
     Args:
-        storage: "ros1", "SQLITE3" or "MCAP" of ROS 2; `topic`: its name with holes.
+        storage: one of `STORAGES`; `topic`: its name, with holes where there are several.
     """
     machine, columns = _log("excavator_imu" if kind == "imu" else "cat215b")
     ros1 = storage == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    types = {name.rpartition("/")[2]: made for name, made in store.types.items()
-             if name.startswith(("sensor_msgs/", "geometry_msgs/", "std_msgs/msg/Header", "builtin_interfaces/"))}
     path = folder / (f"{storage}.bag" if ros1 else storage)
     writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(
         path, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
-    ends = {"pressure": ("p_head", "p_rod"), "imu": ("gyro_x",), "joints": ("q",)}[kind]
-    own = [channel for channel in columns if channel.rpartition(".")[2] in ends]
     expected: dict[str, str] = {}
-
-    def messages(channel: str) -> Iterator[tuple[str, Any]]:
-        name = channel.rpartition(".")[0]
-        for k in range(0, columns["t"].size, 5):
-            stamp = types["Time"](sec=1_790_000_000 + k // 50, nanosec=k % 50 * 20_000_000)
-            header = types["Header"](**({"seq": k} if ros1 else {}), stamp=stamp, frame_id=name)
-            if kind == "pressure":
-                yield "FluidPressure", types["FluidPressure"](header, columns[channel][k], 0.0)
-            elif kind == "joints":
-                some = own if "{" not in topic else [channel]
-                yield "JointState", types["JointState"](
-                    header, [each.removesuffix(".q") for each in some], np.array([columns[each][k] for each in some]),
-                    np.zeros(0), np.zeros(0))
-            else:
-                rate, a = ([columns[f"{name}.{quantity}_{axis}"][k] for axis in "xyz"] for quantity in ("gyro", "accel"))
-                yield "Imu", types["Imu"](header, types["Quaternion"](0.0, 0.0, 0.0, 1.0), np.zeros(9), types["Vector3"](
-                    *rate), np.zeros(9), types["Vector3"](*a), np.zeros(9))
-
     with writer:
-        for channel in own if "{" in topic else own[:1]:
-            called = Spelling(kind, "", topic, 0).of(channel)
-            for k, (name, message) in enumerate(messages(channel)):
-                if not k:
-                    connection = writer.add_connection(called, message.__msgtype__, typestore=store)
+        for group in _groups(kind, topic, columns):
+            called = Spelling(kind, "", topic, 0).of(group[0])
+            expected |= {channel: f"{called} {_field(channel)}" for channel in group}
+            connection = None
+            for k in range(0, columns["t"].size, EVERY):
+                message = _message(store.types, group, {channel: columns[channel][k] for channel in group}, k, ros1=ros1)
+                connection = connection or writer.add_connection(called, message.__msgtype__, typestore=store)
                 data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, message.__msgtype__)
-                writer.write(connection, 1_790_000_000 * 10**9 + k * 10**8 + 3_000_000, data)
-            if kind == "imu":
-                part = channel.rpartition(".")[0]
-                expected |= {f"{part}.{quantity}_{axis}": f"{called} {field}.{axis}" for axis in "xyz" for quantity, field
-                             in (("gyro", "angular_velocity"), ("accel", "linear_acceleration"))}
-            elif kind == "joints":
-                expected |= {each: f"{called} position[{each.removesuffix('.q')}]"
-                             for each in (own if "{" not in topic else [channel])}
-            else:
-                expected[channel] = f"{called} fluid_pressure"
+                writer.write(connection, 1_790_000_000 * 10**9 + k * 20_000_000 + 3_000_000, data)
     return path, machine, expected
+
+
+def _groups(kind: str, topic: str, columns: Mapping[str, NDArray[Any]]) -> list[list[str]]:
+    """The channels of each topic: a chamber's pressure, an IMU's six, all joints or one."""
+    if kind == "imu":
+        names = dict.fromkeys(channel.rpartition(".")[0] for channel in columns if channel.endswith(".gyro_x"))
+        return [[f"{name}.{quantity}_{axis}" for quantity in ("gyro", "accel") for axis in "xyz"] for name in names]
+    own = [channel for channel in columns if channel.endswith((".p_head", ".p_rod") if kind == "pressure" else ".q")]
+    if "{" not in topic:
+        return [own[:1] if kind == "pressure" else own]
+    return [[channel] for channel in own]
+
+
+def _field(channel: str) -> str:
+    """The column of a channel in its message."""
+    name, _, suffix = channel.rpartition(".")
+    if suffix == "q":
+        return f"position[{name}]"
+    quantity, _, axis = suffix.partition("_")
+    return {"gyro": f"angular_velocity.{axis}", "accel": f"linear_acceleration.{axis}"}.get(quantity, "fluid_pressure")
+
+
+def _message(types: Mapping[str, Any], group: Sequence[str], values: Mapping[str, float], k: int, *, ros1: bool) -> Any:
+    """Sample k of a group of channels as a message."""
+    stamp = types["builtin_interfaces/msg/Time"](sec=1_790_000_000 + k // 50, nanosec=k % 50 * 20_000_000)
+    header = types["std_msgs/msg/Header"](**({"seq": k} if ros1 else {}), stamp=stamp, frame_id="")
+    if group[0].endswith(".q"):
+        return types["sensor_msgs/msg/JointState"](header, [channel.removesuffix(".q") for channel in group],
+                                                   np.array([*values.values()]), np.zeros(0), np.zeros(0))
+    if len(group) == 1:
+        return types["sensor_msgs/msg/FluidPressure"](header, values[group[0]], 0.0)
+    rate, a = (types["geometry_msgs/msg/Vector3"](*[values[channel] for channel in part])
+               for part in (group[:3], group[3:]))
+    still = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    return types["sensor_msgs/msg/Imu"](header, still, np.zeros(9), rate, np.zeros(9), a, np.zeros(9))
 
 
 def sure_signals(folder: Path, kind: str, storage: str, topic: str) -> tuple[int, int, int]:
