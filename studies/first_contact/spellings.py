@@ -126,7 +126,8 @@ def bag(folder: Path, kind: str, storage: str, topic: str) -> tuple[Path, Machin
             expected |= {channel: f"{called} {_field(channel)}" for channel in group}
             connection = None
             for k in range(0, columns["t"].size, EVERY):
-                message = _message(store.types, group, {channel: columns[channel][k] for channel in group}, k, ros1=ros1)
+                row = {channel: columns[channel][k] for channel in group}
+                message = _message(store.types, group, row, k, ros1=ros1)
                 connection = connection or writer.add_connection(called, message.__msgtype__, typestore=store)
                 data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, message.__msgtype__)
                 writer.write(connection, 1_790_000_000 * 10**9 + k * 20_000_000 + 3_000_000, data)
@@ -197,7 +198,8 @@ def run() -> dict[str, float]:
                 for topic in topics:
                     with TemporaryDirectory() as fresh:
                         signals += sure_signals(Path(fresh), kind, storage, topic)
-        figures |= dict(zip(("spellings_ros_signals_tried", "spellings_ros_signals_sure", "spellings_ros_signals_wrong"),
+        counted = ("spellings_ros_signals_tried", "spellings_ros_signals_sure", "spellings_ros_signals_wrong")
+        figures |= dict(zip(counted,
                             map(int, signals), strict=True))
         figures["spellings_traps_tried"] = len(_lists()["traps"]["headers"])
         figures["spellings_traps_proposed"] = len(trapped(folder))

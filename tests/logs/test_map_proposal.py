@@ -274,7 +274,8 @@ def test_usual_spellings_are_proposed_and_none_is_wrong(quantity, tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "storage", "topic"), [
-    ("pressure", "SQLITE3", "/{p}/{c}_pressure"), ("imu", "MCAP", "/{p}_imu/data"), ("joints", "ros1", "/joint_states")])
+    ("pressure", "SQLITE3", "/{p}/{c}_pressure"), ("imu", "MCAP", "/{p}_imu/data"),
+    ("joints", "ros1", "/joint_states")])
 def test_messages_with_units_by_convention_are_sure(kind, storage, topic, tmp_path):
     """Topics that name part and chamber, also one alone, whose name the map need not state."""
     count, sure, wrong = spellings.sure_signals(tmp_path, kind, storage, topic)

@@ -41,8 +41,10 @@ REAL = {
     "Gyro X (dps)": "deg/s", "v / (mm/s)": "mm/s", "a [m/s²]": "m/s^2", "Engine Speed (RPM)": "rpm",
     "Drehzahl U/min": "rpm", "Kraft [kN]": "kN", "Moment Nm": "N*m", "Throttle Position (Percent)": "%",
     "Gyro X (mdps)": "mdeg/s", "acc_x (mg)": "mg_0", "p_kbar": "kbar", "a [m/s**2]": "m/s^2", "v_radpersec": "rad/s",
-    "boomVelDegS": "deg/s", "M [N.m]": "N.m", "n [1/min]": "rpm", "p [bar(a)]": "bar", "p_psia": "psi", "Q [l/min]": "l/min",
-    "Kraft [kn]": "kN", "position[boom] [rad or m]": "rad", "Kanal A [V]": "V", "Joystick mV": "mV", "Valve current (mA)": "mA",
+    "boomVelDegS": "deg/s", "M [N.m]": "N.m", "n [1/min]": "rpm", "p [bar(a)]": "bar", "p_psia": "psi",
+    "Q [l/min]": "l/min",
+    "Kraft [kn]": "kN", "position[boom] [rad or m]": "rad", "Kanal A [V]": "V", "Joystick mV": "mV",
+    "Valve current (mA)": "mA",
 }
 NONE = ("boom_max", "boom_min", "swing_a", "swing A", "swing_motor.p_a", "boom_u", "oil in", "boom_cap", "Head/Rod",
         "A/B", "Boom/Stick", "Boom P", "boom_head", "stick_rod", "P45", "timeStamp", "IAS", "Oil temp", "boom.q",

@@ -77,7 +77,8 @@ def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
     with pytest.raises(ProblemError, match="'base_pitch\\.q' is not stated"):
         run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
     with pytest.raises(ProblemError, match="poses are at rest"):
-        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path / "rest")
+        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "--driven",
+            "-o", tmp_path / "rest")
 
 
 def test_the_survey_of_the_documentation_states_every_measurement() -> None:
@@ -89,7 +90,7 @@ def test_the_survey_of_the_documentation_states_every_measurement() -> None:
 
 
 def test_the_table_is_filled_in_in_the_units_of_the_sheet(plan: PosePlan, tmp_path: Path) -> None:
-    """A person writes degrees and millimetres where the header says so; the calibration of it is that of the readings."""
+    """A person writes degrees and millimetres where the header says so, which does not change the calibration."""
     factors = {"deg": 180 / np.pi, "mm": 1e3, "m/s^2": 1.0}
     machine, model = surveyed()
     read = simulate_poses(model, plan.postures, random=True, noise=False, seed=3).poses
