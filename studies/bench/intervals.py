@@ -10,7 +10,6 @@ from hydroopt import identification_problem, load_machine, random_trajectory, ra
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.inference import posterior
-from hydroopt.kernels import ellipses
 from hydroopt.model.model import model_of
 from studies.bench.goals import Row
 
@@ -24,8 +23,7 @@ ROUNDING = 1e-12
 
 
 def intervals() -> list[Row]:
-    """Intervals of one log with the same random numbers by NumPy and after other rounding, by many draws, and their
-    scatter."""
+    """Intervals of one log with the same random numbers after other rounding, by many draws, and their scatter."""
     print(f"{'machine':>14} {'':>38} {'std, worst':>12} {'95 % width, worst':>18} {'mean':>8}")
     changes, scatters = [], []
     for name in MACHINES:
@@ -34,8 +32,6 @@ def intervals() -> list[Row]:
         log = simulate(model, motion, random_truth(model, seed=1), seed=1)
         problem = identification_problem(load_machine(name), [log])
         usual = _mean(problem, [1])
-        with patch.object(ellipses, "compiled", lambda: None):
-            _show(name, "NumPy, same numbers", _mean(problem, [1]), usual)
         with patch.object(posterior, "sample", _rounded(posterior.sample)):
             _show(name, "other rounding, same numbers", _mean(problem, [1]), usual)
         widths = np.array([_mean(problem, [seed])[1] for seed in range(1, 1 + RUNS)])

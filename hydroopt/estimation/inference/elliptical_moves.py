@@ -1,20 +1,14 @@
-"""Moves of many chains along random ellipses: elliptical slice sampling (Murray, Adams, MacKay 2010).
-
-What is drawn at random does not depend on how the moves are computed: compiled (`hydroopt.kernels.ellipses`), or by
-NumPy where there is no compiler or a constraint is a function of the user's. Both make the same chains, up to rounding.
-"""
+"""Moves of many chains along random ellipses: elliptical slice sampling (Murray, Adams, MacKay 2010)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.kernels.ellipses import Sweeper
 from hydroopt.spatial.inertia import Array
 
 BLOCK, TRIES = 12, 6
@@ -23,8 +17,6 @@ HEAVY_BLOCK, FREEDOMS = 8, 4.0
 """Where log-det distances make exponential tails: coordinates moved together, and degrees of freedom of the Student-t
 about which they move then. About a Gaussian, chains hardly ever enter or leave such tails: spreads came out 4 % too
 small."""
-BATCHES = 0, 1, 3, TRIES
-"""Proposals are evaluated in these parts by NumPy, the later ones for the chains that still wait."""
 
 
 class Density(Protocol):
@@ -36,50 +28,11 @@ class Density(Protocol):
     def heavy_tailed(self) -> bool:
         """Whether blocks move about a Student-t."""
 
-    @property
-    def sweeper(self) -> Sweeper | None:
-        """Its compiled sweep, if there is one."""
-
     def ratio(self, state: Array, block: NDArray[np.intp] | slice = slice(None)) -> Array:
         """The part of the log-density that the Gaussian which stands in makes of all states or a block."""
 
     def truncated(self, slack: Array, state: Callable[[], Array]) -> Array:
         """The part that inequalities and log-det distances make."""
-
-
-class Draws(NamedTuple):
-    """What is drawn at random for one sweep of c chains, block by block of coordinates in a random `order` (k,).
-
-    Attributes:
-        size: of a block; the last one may be smaller.
-        other: (k, c) second axes of the ellipses, standard normal.
-        square: (blocks, c) chi-squared, which makes these axes Student-t where tails are heavy.
-        chance: (blocks, tries, c) of the angles, uniform.
-        level: (blocks, c) by which the log-density may fall at most, exponential.
-    """
-
-    size: int
-    order: NDArray[np.intp]
-    other: Array
-    square: Array
-    chance: Array
-    level: Array
-
-    @classmethod
-    def of(cls, rng: np.random.Generator, coordinates: int, chains: int, *, heavy: bool) -> Draws:
-        """Draw."""
-        size = HEAVY_BLOCK if heavy else BLOCK
-        blocks = -(-coordinates // size)
-        made = cls(size, rng.permutation(coordinates), np.empty((coordinates, chains)), np.ones((blocks, chains)),
-                   np.empty((blocks, TRIES, chains)), np.empty((blocks, chains)))
-        for b, chance, level in zip(range(blocks), made.chance, made.level, strict=True):
-            other = made.other[b * size : (b + 1) * size]
-            rng.standard_normal(out=other)
-            if heavy:
-                made.square[b] = rng.chisquare(FREEDOMS + len(other), chains)
-            rng.random(out=chance)
-            rng.standard_exponential(out=level)
-        return made
 
 
 def sweep(density: Density, state: Array, slack: Array, log_density: Array, rng: np.random.Generator) -> None:
@@ -89,52 +42,48 @@ def sweep(density: Density, state: Array, slack: Array, log_density: Array, rng:
     chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so that
     stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
-    draws = Draws.of(rng, *state.shape, heavy=density.heavy_tailed)
-    if density.sweeper is not None:
-        density.sweeper(*draws, state, slack, log_density)
-        return
-    for b, first in enumerate(range(0, len(state), draws.size)):
-        _move(density, state, slack, log_density, draws, b, slice(first, first + draws.size))
-
-
-def _move(density: Density, state: Array, slack: Array, log_density: Array, draws: Draws, b: int,
-          places: slice) -> None:
-    """Move one block of coordinates of all chains."""
-    block, other, heavy = draws.order[places], draws.other[places], density.heavy_tailed
-    chains = state.shape[1]
-    if heavy:  # the variance of the ellipses, given where the chains are
-        other = other * np.sqrt((FREEDOMS + np.sum(state[block] ** 2, axis=0)) / draws.square[b])
+    (k, chains), size = state.shape, HEAVY_BLOCK if density.heavy_tailed else BLOCK
+    order, starts = rng.permutation(k), range(0, k, size)
     # how the bracket shrinks does not depend on the inequalities: all places to try are known beforehand
-    angles = np.empty((TRIES, chains))
-    angles[0] = 2 * np.pi * draws.chance[b, 0]
+    chance = rng.random((TRIES, len(starts), chains))
+    angles = np.empty_like(chance)
+    angles[0] = 2 * np.pi * chance[0]
     low, high = angles[0] - 2 * np.pi, angles[0]
-    for k in range(1, TRIES):
-        angles[k] = low + (high - low) * draws.chance[b, k]
-        low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
-    threshold = log_density - draws.level[b]
-    if heavy:
-        threshold += _over_t(state[block])
-    waiting, slope = np.arange(chains), density.slope[:, block]
-    others = density.ratio(state) - density.ratio(state[block], block)  # of the coordinates that stay
-    for first, end in pairwise(BATCHES):  # most chains are done after one
-        if not len(waiting):
-            break
-        angle, current = angles[first:end, waiting], state[np.ix_(block, waiting)]
-        step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
-        flat = step.reshape(len(block), -1)
-        linear = slope @ flat
-        linear.reshape(len(slack), end - first, -1)[:] += slack[:, None, waiting]
-        ratio = others[waiting] + density.ratio(current[:, None] + step, block)
-        new = density.truncated(linear, partial(_stepped, state, np.tile(waiting, end - first), block, flat))
-        new += ratio.ravel()
-        level = new.reshape(angle.shape) + (_over_t(current[:, None] + step) if heavy else 0.0)
-        good = level > threshold[waiting]
-        found = np.flatnonzero(good.any(axis=0))
-        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first accepted one
-        state[np.ix_(block, waiting[found])] += flat[:, pick]
-        slack[:, waiting[found]] = linear[:, pick]
-        log_density[waiting[found]] = new[pick]
-        waiting = np.delete(waiting, found)
+    for n in range(1, TRIES):
+        angles[n] = low + (high - low) * chance[n]
+        low, high = np.where(angles[n] < 0, angles[n], low), np.where(angles[n] < 0, high, angles[n])
+    along, across = np.cos(angles) - 1, np.sin(angles)
+    fall = rng.standard_exponential((len(starts), chains))
+    other = rng.standard_normal((k, chains))
+    for b, first in enumerate(starts):
+        block, axes = order[first : first + size], other[first : first + size]
+        if density.heavy_tailed:  # the variance of the ellipses, given where the chains are
+            axes = axes * np.sqrt((FREEDOMS + np.sum(state[block] ** 2, axis=0))
+                                  / rng.chisquare(FREEDOMS + len(block), chains))
+        _move(density, state, slack, log_density, block, axes, along[:, b], across[:, b], log_density - fall[b])
+
+
+def _move(density: Density, state: Array, slack: Array, log_density: Array, block: NDArray[np.intp], axes: Array,
+          along: Array, across: Array, level: Array) -> None:
+    """Move one block (b,) of coordinates of all chains to the first of some places (tries, c) on their ellipses, whose
+    second axes are (b, c), at which the log-density is at least a level (c,)."""
+    (tries, chains), current = along.shape, state[block]
+    moved = current[:, None] + (current[:, None] * along + axes[:, None] * across)
+    moved = moved.reshape(len(block), tries * chains)
+    new_slack = density.slope[:, block] @ moved
+    new_slack.reshape(-1, tries, chains)[:] += (slack - density.slope[:, block] @ current)[:, None]
+    ratio = density.ratio(moved, block).reshape(tries, chains) + density.ratio(state) - density.ratio(current, block)
+    new = density.truncated(new_slack, partial(_moved, state, tries, block, moved)).reshape(tries, chains) + ratio
+    if density.heavy_tailed:
+        level = level + _over_t(current)
+        good = new + _over_t(moved).reshape(tries, chains) > level
+    else:
+        good = new > level
+    found = np.flatnonzero(good.any(axis=0))
+    pick = np.argmax(good[:, found], axis=0) * chains + found  # the first accepted one
+    state[np.ix_(block, found)] = moved.take(pick, axis=1)
+    slack[:, found] = new_slack.take(pick, axis=1)
+    log_density[found] = new.ravel()[pick]
 
 
 def _over_t(block: Array) -> Array:
@@ -143,7 +92,8 @@ def _over_t(block: Array) -> Array:
     return np.asarray((FREEDOMS + len(block)) / 2 * np.log1p(square / FREEDOMS) - square / 2)
 
 
-def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
-    moved = state[:, chains]
-    moved[block] += step
-    return moved
+def _moved(state: Array, tries: int, block: NDArray[np.intp], moved: Array) -> Array:
+    """The states (k, tries·c) of which a block is moved."""
+    made = np.tile(state, tries)
+    made[block] = moved
+    return made

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,6 @@ from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.estimation.inference.truncated import TAIL, Marginal, TruncatedGaussian
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
-from hydroopt.kernels import ellipses
 from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
@@ -264,17 +263,6 @@ class _Inequalities:
         """Whether log-det distances make the density fall like an exponential, not like a Gaussian."""
         return bool(self._distant.size)
 
-    @cached_property
-    def sweeper(self) -> ellipses.Sweeper | None:
-        """The compiled sweep; None where no compiler works, or the user's inequalities have to be called."""
-        sweep = ellipses.compiled() if self._user.inequality is None else None
-        if sweep is None:
-            return None
-        spread = np.ones(self.matrix_count)
-        spread[self._distant] = self._spread
-        return ellipses.Sweeper(sweep, self.slope, *self._ratio, self._all_weights, spread,
-                                elliptical_moves.FREEDOMS if self.heavy_tailed else 0.0)
-
     def about(self, inside: Interior) -> _Inequalities:
         """The same in the coordinates of a Gaussian that stands in for the posterior."""
         return _Inequalities(self._problem, self._whitened, self._user, self._conditions, inside)
@@ -328,9 +316,9 @@ class _Inequalities:
         return np.where(good, correction, -np.inf)
 
     def ratio(self, state: Array, block: NDArray[np.intp] | slice = slice(None)) -> Array:
-        """The part (...) of `log_density` that the Gaussian which stands in makes of all states (k, ...) or a block."""
+        """The part (c,) of `log_density` that the Gaussian which stands in makes of all states (k, c) or a block."""
         square, linear = (part[block] for part in self._ratio)
-        return np.asarray(np.tensordot(square, state**2, 1) + np.tensordot(linear, state, 1))
+        return np.asarray(square @ state**2 + linear @ state)
 
     def _log_det_correction(self, entries: Array, pivots: Array) -> Array:
         """What log-det distances of the matrices W (10, b, c) weigh beyond the Gaussian that stands in for them."""
