@@ -14,7 +14,7 @@ from hydroopt.files import write_files
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
-    from hydroopt.results.answer import SavedAnswer
+    from hydroopt.results.answer import Answer
 
 PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
          "CombinedEstimate": ("hydroopt.report.identification", "render"),
@@ -81,12 +81,12 @@ def view(shown: Any) -> View:
     'view.html'
     """
     from hydroopt.machine.machine_file import load_machine  # noqa: PLC0415
-    from hydroopt.results.answer import Answer, SavedAnswer, load  # noqa: PLC0415
+    from hydroopt.results.answer import Answer, load  # noqa: PLC0415
 
     if isinstance(shown, str | Path):
         shown = load(shown) if Path(shown).is_dir() else load_machine(shown)
-    if isinstance(shown, SavedAnswer):
-        return _of_machine(_saved_machine(shown), shown)
+    if isinstance(shown, Answer) and shown.directory is not None:
+        return _of_machine(shown.machine, shown)
     if isinstance(shown, Answer):
         for kind in type(shown).__mro__:
             if place := PAGES.get(kind.__name__):
@@ -98,19 +98,7 @@ def view(shown: Any) -> View:
     return _of_machine(machine)
 
 
-def _saved_machine(answer: SavedAnswer) -> Machine:
-    from hydroopt.machine.machine_file import bundled, load_machine  # noqa: PLC0415
-
-    if answer.machine_file is not None:
-        return load_machine(answer.machine_file)
-    if answer.machine_name in bundled() and (known := load_machine(answer.machine_name)).sha256 == (
-            answer.machine_id.sha256):
-        return known
-    raise ProblemError("this folder holds no machine file", where=str(answer.directory),
-                       remedy="open its report.html, or view the machine file itself")
-
-
-def _of_machine(machine: Machine, answer: SavedAnswer | None = None) -> View:
+def _of_machine(machine: Machine, answer: Answer | None = None) -> View:
     from hydroopt.model.scene_graph import SceneGraph  # noqa: PLC0415
     from hydroopt.report.machine_view import render  # noqa: PLC0415
 

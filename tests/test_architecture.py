@@ -60,7 +60,7 @@ QUARANTINE = {
     "rich": ("cli",),
     "plotext": ("guided.drawing",),
     "pandas": ("logs", "results"),
-    "pydantic": ("machine", "logs.column_map"),
+    "pydantic": ("machine", "logs.column_map", "results.json_file"),
     "mujoco": ("machine.robot_formats.mjcf_in",),
     "dask": ("study.scheduler",),
     "distributed": ("study.scheduler",),

@@ -17,10 +17,11 @@ from hydroopt.limits.use import UseOfLimit, courses
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model, model_of
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
@@ -86,9 +87,9 @@ class MotionCheck(Answer):
     job = Job.MOTION_CHECK
 
     @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.model.machine)
+    def machine(self) -> Machine:
+        """The machine that it is about."""
+        return self.model.machine
 
     @property
     def method(self) -> str:

@@ -19,7 +19,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
@@ -61,11 +61,6 @@ class PostureCheck(Answer):
     sources: tuple[Mapping[str, Any], ...] = ()
 
     job = Job.POSTURE_CHECK
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.machine)
 
     @property
     def method(self) -> str:

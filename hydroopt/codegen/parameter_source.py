@@ -40,10 +40,11 @@ def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Ori
     if answer.status is Status.FAILED:
         raise ProblemError("the estimate failed, so that there is nothing to export", where=str(file),
                            remedy="see its 'reason', then identify or calibrate again")
-    if answer.machine_file is None:
+    if answer.text_of(f"{answer.machine_name}.toml") is None:
         raise ProblemError("there is no calibrated machine beside it", where=str(file),
                            remedy="see its 'diagnostics', then identify or calibrate with more data or another method")
-    machine, created = load_machine(answer.machine_file), str(answer.saved.get("created", "an unknown day"))
+    machine = load_machine(folder / f"{answer.machine_name}.toml")
+    created = str(answer.content().get("created", "an unknown day"))
     return machine, Origin(f"estimate of {machine.name} by {_plain(answer.method)} on {_plain(created)}",
                            hashlib.sha256(file.read_bytes()).hexdigest())
 

@@ -34,7 +34,7 @@ from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
@@ -82,11 +82,6 @@ class Comparison(Answer):
     def machine(self) -> Machine:
         """The machine."""
         return self.setting.plant.machine
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Name, parameter set and digest of the machine."""
-        return MachineId.of(self.machine)
 
     @property
     def method(self) -> str:

@@ -79,7 +79,7 @@ class Plots:
         from hydroopt.model.vertical_plane import limit_postures, range_postures  # noqa: PLC0415
         from hydroopt.plots.side_view import side_view  # noqa: PLC0415
 
-        if isinstance(self._shown, Estimate):
+        if isinstance(self._shown, Estimate) and self._shown.directory is None:
             problem = self._shown.problem
             moved = np.concatenate([each.plotted.motion.q for each in problem.experiments])
             drawn = side_view(problem.model, range_postures(problem.model, moved), "mean of the training motion",
@@ -121,7 +121,7 @@ class Plots:
     def _estimate(self, what: str) -> Estimate:
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
 
-        if not isinstance(self._shown, Estimate):
+        if not isinstance(self._shown, Estimate) or self._shown.directory is not None:
             raise self._refusal(what)
         return self._shown
 

@@ -13,6 +13,7 @@ from hydroopt.report.numbers import unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.json_file import validated
 from hydroopt.results.readable import readable
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def render(scene: SceneGraph, facts: Mapping[str, Any], side: SidePostures, arms
     seen = drawn(scene, scene.tree_positions(side.q), View.side(side.plane))
     return document(
         "machine.html", scene=SceneView(scene), charts={"range": curves(machine, arms, ratios)}, machine=machine,
-        diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
+        diagnostics=validated(tuple[Diagnostic, ...], facts["diagnostics"]),
         identifiability=facts["identifiability"],
         side_views={kind: seen.svg(seen.description(machine.name, SIDE), axes=True, wide=most)
                     for kind, most in (("wide", WIDE), ("narrow", NARROW))}, ratios=ratios,

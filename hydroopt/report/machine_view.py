@@ -13,13 +13,13 @@ from hydroopt.report.scene import SceneView, Tint
 
 if TYPE_CHECKING:
     from hydroopt.model.scene_graph import SceneGraph
-    from hydroopt.results.answer import SavedAnswer
+    from hydroopt.results.answer import Answer
     from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 
 BARREL_OR_ROD = (".barrel", ".rod")
 
 
-def render(scene: SceneGraph, answer: SavedAnswer | None = None) -> str:
+def render(scene: SceneGraph, answer: Answer | None = None) -> str:
     """The page of a machine, and of the answer that it is from."""
     rows = [] if answer is None else [(one.name, unit_text(one.unit), _numbers(one), interval(one), one.identifiability)
                                       for one in answer.parameters.rows]

@@ -6,16 +6,23 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
-from hydroopt.errors import ProblemError
+import numpy as np
+
+from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.extras import needed
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
 from hydroopt.results.command_line import CommandLine
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
-from hydroopt.results.json_file import MachineId
+from hydroopt.results.json_file import MachineId, validated
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
@@ -25,6 +32,28 @@ from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS, UNSTATED
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+KINDS = {
+    "Estimate": ("estimation.dynamic.estimate", json_file.Job.IDENTIFICATION),
+    "CombinedEstimate": ("estimation.combined.estimate", json_file.Job.IDENTIFICATION),
+    "Calibration": ("estimation.kinematic.calibration", json_file.Job.CALIBRATION),
+    "SensorCalibration": ("estimation.motion.sensor_calibration", json_file.Job.SENSORS),
+    "HydraulicEstimate": ("estimation.hydraulic.estimate", json_file.Job.HYDRAULICS),
+    "Excitation": ("excitation.motion.excitation", json_file.Job.EXCITATION),
+    "PosePlan": ("excitation.poses.plan", json_file.Job.POSE_PLAN),
+    "MeasureUpPlan": ("excitation.poses.measure_up_plan", json_file.Job.POSE_PLAN),
+    "CalibratorDesign": ("excitation.calibrator.calibrator_design", json_file.Job.CALIBRATOR),
+    "WhatNext": ("excitation.next.plan", json_file.Job.NEXT),
+    "Change": ("estimation.dynamic.change", json_file.Job.CHANGE),
+    "ChangeHistory": ("estimation.dynamic.change_history", json_file.Job.CHANGE_HISTORY),
+    "Payload": ("estimation.dynamic.payload", json_file.Job.PAYLOAD),
+    "Weighing": ("weighing.weighing", json_file.Job.WEIGHING),
+    "Comparison": ("control.comparison", json_file.Job.CONTROL),
+    "LogCheck": ("estimation.dynamic.log_check", json_file.Job.CHECK),
+    "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK),
+    "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK)}
+"""Module and job of the class of each answer, which `load` makes again; a JSON file names the class."""
 
 
 class Answer(Drawn, ABC):
@@ -52,6 +81,8 @@ class Answer(Drawn, ABC):
 
     job: json_file.Job
     """Which job it answers."""
+    directory: ClassVar[Path | None] = None
+    """Where it was loaded from; None if it was not."""
     command_line: ClassVar[CommandLine] = CommandLine()
     """What was typed to get it, see `typed`; it is not part of the answer."""
 
@@ -61,10 +92,19 @@ class Answer(Drawn, ABC):
         made.__dict__["command_line"] = command_line
         return made
 
+    if TYPE_CHECKING:  # a field of some classes, a property of others
+        @property
+        def machine(self) -> Machine:
+            """The machine that it is about; the calibrated one of an answer that calibrates.
+
+            Raises:
+                HydrooptError: no machine can have the numbers of the answer.
+            """
+
     @property
-    @abstractmethod
     def machine_id(self) -> MachineId:
         """Which machine it is about, as it was described to the job."""
+        return MachineId.of(self.machine)
 
     @property
     def machine_name(self) -> str:
@@ -235,113 +275,119 @@ class Answer(Drawn, ABC):
             "parameters": [each.as_dict() for each in self.parameters.rows],
             "fit": {data: {channel: fit.as_dict() for channel, fit in table.items()}
                     for data, table in self.fit.items()},
-            **self.details(), "wall_s": number(wall_s)}
+            **self.details(), "wall_s": number(wall_s),
+            "answer": {"class": type(self).__name__, "text": str(self), "fields": _fields(self), **self._machine()}}
+
+    def _machine(self) -> dict[str, str]:
+        """The text of its machine, where it has one that is no file of its own."""
+        if f"{self.machine_name}.toml" not in self.files():
+            with suppress(HydrooptError):  # which a diagnostic states
+                return {"machine": dump_machine(self.machine)}
+        return {}
 
 
-class SavedAnswer(Answer):
-    """An answer that was loaded: what its folder says.
+class Unsaved:
+    """An attribute of an answer that its folder does not hold."""
 
-    Attributes:
-        directory: where it is from.
-        saved: the whole content of its JSON file.
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.message = (f"'{name}' of an {owner.__name__} is not in its folder, which holds what it says, not the data "
+                        "that it is from; solve the problem again")
+
+    def __get__(self, answer: object, owner: type) -> Any:
+        raise AttributeError(self.message)
+
+
+def _plain(value: Any) -> Any:
+    """A number, text, array of floats, or table or sequence of such, as JSON stores it.
+
+    Raises:
+        TypeError: it is something else.
     """
-
-    def __init__(self, directory: Path, saved: Mapping[str, Any]) -> None:
-        self.directory, self.saved, self.job = directory, saved, json_file.Job(saved["job"])
-        self._status, self._method = Status(saved["status"]), str(saved["method"])
-        self._verdict = Verdict.from_dict(saved["verdict"]) if "verdict" in saved else None
-        self._inputs = tuple(dict(entry) for entry in saved["inputs"])
-        self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
-        self._findings = tuple(Diagnostic.from_dict(entry) for entry in saved.get("findings", ()))
-        self._parameters = ParameterTable.from_dicts(saved.get("parameters", ()))
-        self._fit = {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
-                     for data, table in saved.get("fit", {}).items()}
-        self._fit_by_model = {name: {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
-                                     for data, table in sets.items()}
-                              for name, sets in saved.get("fit_by_model", {}).items()}
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId(**{key: str(self.saved["machine"][key]) for key in MachineId._fields})
-
-    @property
-    def method(self) -> str:
-        """How it was computed."""
-        return self._method
-
-    @property
-    def status(self) -> Status:
-        """Whether it can be believed."""
-        return self._status
-
-    @property
-    def reason(self) -> str:
-        """Why it failed; empty if it did not."""
-        return str(self.saved.get("reason", ""))
-
-    @property
-    def verdict(self) -> Verdict:
-        """What it can be used for, what not, and what to do next."""
-        named = json_file.title(self.machine_name, self.job, self.method)
-        return self._verdict or Verdict(named, self.status, self.reason)
-
-    @property
-    def uses(self) -> tuple[Use, ...]:
-        """What it can be used for."""
-        return self.verdict.uses
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics, the most severe first."""
-        return self._diagnostics
-
-    @property
-    def findings(self) -> tuple[Diagnostic, ...]:
-        """The answer in sentences, where it has one."""
-        return self._findings
-
-    @property
-    def parameters(self) -> ParameterTable:
-        """The parameters by name, with priors, values, intervals and identifiability."""
-        return self._parameters
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """How closely data are followed, by data set and channel."""
-        return self._fit
-
-    @property
-    def fit_by_model(self) -> Mapping[str, Mapping[str, Mapping[str, Fit]]]:
-        """How closely several models follow data."""
-        return self._fit_by_model
-
-    @property
-    def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """The files it is from."""
-        return self._inputs
-
-    @property
-    def machine_file(self) -> Path | None:
-        """The calibrated machine beside it; None where none was written.
-
-        Raises:
-            ProblemError: it is not as it was saved.
-        """
-        name = f"{self.machine_name}.toml"
-        return None if self.files().get(name) is None else self.directory / name
-
-    def details(self) -> Mapping[str, Any]:
-        """What the JSON file says beyond what all answers say."""
-        return {key: value for key, value in self.saved.items() if key not in json_file.COMMON}
-
-    def files(self) -> Mapping[str, str | bytes]:
-        """The files beside the JSON file."""
-        return json_file.Beside(self.directory, self.saved)
+    if isinstance(value, np.generic):
+        value = value.item()
+    if (isinstance(value, float | np.ndarray) and not np.all(np.isfinite(value))) or isinstance(value, np.ndarray):
+        if np.asarray(value).dtype.kind != "f" or np.any(np.isinf(value)):
+            raise TypeError
+        return {"array": np.where(np.isnan(value), np.array(None), value).tolist()}
+    if isinstance(value, tuple) and type(value) is tuple:
+        return [_plain(each) for each in value]
+    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return {"table": {key: _plain(each) for key, each in value.items()}}
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError
 
 
-def load(directory: str | Path) -> SavedAnswer:
-    """The answer that a command or `Answer.save` wrote into a directory.
+def _restored(value: Any) -> Any:
+    """What `_plain` stored."""
+    if isinstance(value, list):
+        return tuple(map(_restored, value))
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        array = np.array(value["array"], dtype=float)
+        return array if array.ndim else float(array)
+    return {key: _restored(each) for key, each in value["table"].items()}
+
+
+def _fields(answer: Answer) -> dict[str, Any]:
+    """The fields of an answer that JSON can store, by name."""
+    found = {}
+    for name in getattr(answer, "__dataclass_fields__", {}):
+        with suppress(TypeError, AttributeError):
+            found[name] = _plain(getattr(answer, name))
+    return found
+
+
+def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[str, Any]:
+    """What a folder says of its answer, by the names of an answer's attributes."""
+    job, status, method = json_file.Job(saved["job"]), Status(saved["status"]), str(saved["method"])
+    machine_id = MachineId(**{key: str(saved["machine"][key]) for key in MachineId._fields})
+    reason, own = str(saved.get("reason", "")), saved.get("answer", {})
+    verdict = (validated(Verdict, saved["verdict"]) if "verdict" in saved else
+               Verdict(json_file.title(machine_id.name, job, method), status, reason))
+    diagnostics, findings = (validated(tuple[Diagnostic, ...], saved.get(key, ())) for key in (
+        "diagnostics", "findings"))
+    checks = {each.remedy for each in (*diagnostics, *findings) if str(each)}  # which the evidence suffices to write
+
+    def machine(answer: Answer) -> Machine:
+        name = f"{machine_id.name}.toml"
+        if answer.text_of(name) is not None:
+            return load_machine(folder / name)
+        if "machine" not in own:
+            raise ProblemError("there is no calibrated machine beside it", where=str(folder),
+                               remedy="see its 'diagnostics'")
+        return read_machine(str(own["machine"]), where=str(folder))
+
+    def fits(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Fit]]:
+        known = {data: {channel: {key: math.nan if value is None else value for key, value in entry.items()}
+                        for channel, entry in table.items()} for data, table in sets.items()}
+        found: dict[str, dict[str, Fit]] = validated(dict[str, dict[str, Fit]], known)
+        return found
+
+    fields = {name: _restored(value) for name, value in own.get("fields", {}).items()}
+    unsaved = {name: Unsaved() for name in getattr(kind, "__dataclass_fields__", {}) if name not in fields}
+    return {
+        **fields, **unsaved, "machine": property(machine), "directory": folder, "job": job, "reason": reason,
+        "status": status, "method": method, "machine_id": machine_id, "verdict": verdict, "uses": verdict.uses,
+        "headline": verdict.finding,
+        "next_steps": tuple(step for step in verdict.next_steps if step.text not in checks),
+        "diagnostics": diagnostics, "findings": findings, "refuted": bool(of_kind(diagnostics, *REFUTATIONS)),
+        "parameters": ParameterTable(validated(tuple[ParameterRow, ...], saved.get("parameters", ()))),
+        "fit": fits(saved.get("fit", {})),
+        "fit_by_model": {name: fits(sets) for name, sets in saved.get("fit_by_model", {}).items()},
+        "inputs": validated(tuple[dict[str, Any], ...], saved["inputs"]),
+        "details": lambda _: {key: value for key, value in saved.items() if key not in json_file.COMMON},
+        "files": lambda _, **__: json_file.Beside(folder, saved),
+        "content": lambda _, wall_s=float("nan"): {**saved, "wall_s": number(wall_s)},
+        **({"__str__": lambda _: str(own["text"])} if "text" in own else {"__str__": Answer.__str__})}
+
+
+def load(directory: str | Path) -> Answer:
+    """The answer that a command or `Answer.save` wrote into a directory, of the class that `solve` returned.
+
+    It says what that said, and holds its machine, tables and numbers. Attributes that need the data, such as
+    `problem`, raise an AttributeError.
 
     Args:
         directory: such as ``out/crane``, with ``estimate.json`` or the JSON file of another job; or that file. Machines
@@ -366,9 +412,19 @@ def load(directory: str | Path) -> SavedAnswer:
         folder = folder.parent
     content = json_file.read(folder)
     try:
-        return SavedAnswer(folder, content)
+        kind = _kind(content)
+        return object.__new__(type(kind.__name__, (kind,), _stated(folder, content, kind)))
     except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError):
         raise json_file.not_an_answer(folder) from None
+
+
+def _kind(content: Mapping[str, Any]) -> type[Answer]:
+    """The class of the answer in a JSON file."""
+    job = json_file.Job(content["job"])
+    kinds = {name: module for name, (module, of) in KINDS.items() if of == job}
+    name = content.get("answer", {}).get("class")
+    name = name if name in kinds else next(iter(kinds))
+    return cast(type[Answer], getattr(import_module(f"hydroopt.{kinds[name]}"), name))
 
 
 def _percent(part: float) -> str:

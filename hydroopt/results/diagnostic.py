@@ -36,8 +36,6 @@ class Diagnostic:
         >>> d = Diagnostic(Kind.WORSE_THAN_ZERO, ("boom_cylinder",), {"relative": 1.31})
         >>> print(d.text)
         The forces of boom_cylinder in the validation logs are predicted worse than by zero (131 % error).
-        >>> Diagnostic.from_dict(d.as_dict()) == d
-        True
     """
 
     kind: Kind
@@ -58,20 +56,9 @@ class Diagnostic:
         return f"{self.text} {self.remedy}".strip()
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry of a JSON file; `from_dict` reads it."""
+        """The entry of a JSON file."""
         return {"kind": str(self.kind), "subject": list(self.subject), "evidence": dict(self.evidence),
                 "text": self.text, "remedy": self.remedy}
-
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> Diagnostic:
-        """The diagnostic that `as_dict` wrote.
-
-        Raises:
-            ValueError, LookupError, TypeError, AttributeError: this is not such an entry.
-        """
-        found = cls(Kind(entry["kind"]), tuple(map(str, entry["subject"])), dict(entry["evidence"]))
-        _ = str(found)  # the evidence is complete
-        return found
 
 
 def listed(names: Sequence[str], most: int = NAMED) -> str:

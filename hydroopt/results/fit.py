@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -67,14 +66,3 @@ class Fit:
         """The entry of a JSON file: None where a number does not exist; `largest` and `of_range` of free runs only."""
         entry = asdict(self)
         return {key: value if key == "unit" else number(value) for key, value in entry.items() if value is not None}
-
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> Fit:
-        """The fit that `as_dict` wrote.
-
-        Raises:
-            KeyError, TypeError, ValueError: this is not such an entry.
-        """
-        rms, vaf, relative = (float("nan") if entry[key] is None else float(entry[key])
-                              for key in ("rms", "vaf", "relative"))
-        return cls(rms, vaf, relative, str(entry["unit"]), entry.get("largest"), entry.get("of_range"))

@@ -13,6 +13,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pydantic import TypeAdapter
+
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.files import claimed, encoded, lies_within, write_files
 from hydroopt.input_file import read_bytes, read_json
@@ -62,7 +64,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json", Job.POSTURE_CHECK: "check.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
-          "diagnostics", "parameters", "fit", "wall_s", "files")
+          "diagnostics", "parameters", "fit", "wall_s", "files", "answer")
 """Keys of the JSON file that all answers have."""
 
 
@@ -207,6 +209,18 @@ def read(directory: Path) -> dict[str, Any]:
     if not known:
         raise not_an_answer(directory)
     return content
+
+
+def validated(kind: Any, entry: Any) -> Any:
+    """A dataclass, or a container of such, from its entry of a JSON file.
+
+    Raises:
+        ValueError: the entry is not of this kind.
+
+    >>> validated(tuple[int, ...], [1, 2])
+    (1, 2)
+    """
+    return TypeAdapter(kind).validate_python(entry)
 
 
 def not_an_answer(directory: Path) -> ProblemError:

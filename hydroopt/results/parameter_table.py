@@ -101,20 +101,6 @@ class ParameterRow:
         entry["ci95"] = list(self.ci95) if self.ci95 else None
         return entry | {"information_from_data": self.information_from_data}
 
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> ParameterRow:
-        """The row that `as_dict` wrote.
-
-        Raises:
-            ValueError, KeyError, TypeError: this is not such an entry.
-        """
-        words: dict[str, Any] = {key: str(entry[key]) for key in ("name", "kind", "unit", "identifiability")}
-        numbers: dict[str, Any] = {key: None if entry[key] is None else float(entry[key])
-                   for key in ("nominal", "prior_std", "value", "std")}
-        bound, ci95 = entry["bound"], entry["ci95"]
-        return cls(**words, **numbers, bound=None if bound is None else str(bound),
-                   ci95=None if ci95 is None else (float(ci95[0]), float(ci95[1])))
-
 
 def row(name: str, kind: str, unit: str, *, nominal: float = math.nan, prior_std: float = math.nan,
         value: float = math.nan, std: float = math.nan, ci95: Sequence[float] = (math.nan, math.nan),
@@ -135,23 +121,12 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
         1790.0
         >>> table
         ParameterTable of 1 parameter, 1 estimated
-        >>> ParameterTable.from_dicts([each.as_dict() for each in table.rows]) == table
-        True
         >>> table.to_csv().splitlines()[1].split(",")[:3]
         ['boom.m', 'mass', 'kg']
     """
 
     def __init__(self, rows: Sequence[ParameterRow]) -> None:
         self.rows = tuple(rows)
-
-    @classmethod
-    def from_dicts(cls, entries: Sequence[Mapping[str, Any]]) -> ParameterTable:
-        """The table of a JSON file.
-
-        Raises:
-            ValueError, KeyError, TypeError: these are not such entries.
-        """
-        return cls([ParameterRow.from_dict(entry) for entry in entries])
 
     @cached_property
     def _by_name(self) -> dict[str, ParameterRow]:

@@ -274,27 +274,13 @@ class Verdict:
             self.next_steps[0].text, self.next_steps[0].command)))} if self.next_steps else {})
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry of a JSON file; `from_dict` reads it."""
+        """The entry of a JSON file."""
         return {"title": self.title, "status": str(self.status), "cause": self.cause,
                 "finding": self.finding,
                 "uses": [use.as_dict() for use in self.uses],
                 "next_steps": [asdict(step) | {"action": str(step.action)} for step in self.next_steps],
                 "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
                                for purpose in dict.fromkeys(use.purpose for use in self.uses) if purpose in THRESHOLDS}}
-
-    @classmethod
-    def from_dict(cls, entry: Mapping[str, Any]) -> Verdict:
-        """The verdict that `as_dict` wrote.
-
-        Raises:
-            ValueError, LookupError, TypeError, AttributeError: this is not such an entry.
-        """
-        uses = tuple(Use(**{**use, "purpose": Purpose(use["purpose"]), "usable": Usable(use["usable"])})
-                     for use in entry["uses"])
-        steps = tuple(NextStep(Action(step["action"]), str(step["text"]), str(step.get("command", "")))
-                      for step in entry["next_steps"])
-        return cls(str(entry["title"]), Status(entry["status"]), str(entry["cause"]), uses, steps,
-                   str(entry.get("finding", "")))
 
 
 def _folded(uses: Sequence[Use], most: int, *, conditions: bool) -> str:

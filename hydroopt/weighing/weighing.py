@@ -14,10 +14,11 @@ from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.usability import TO_SCALE
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable, row
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
@@ -131,9 +132,9 @@ class Weighing(Answer):
     job = Job.WEIGHING
 
     @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.scale.machine)
+    def machine(self) -> Machine:
+        """The machine that it is about."""
+        return self.scale.machine
 
     @property
     def method(self) -> str:

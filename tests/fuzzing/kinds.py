@@ -10,6 +10,7 @@ import random
 import tempfile
 from collections.abc import Callable
 from functools import cache, lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -279,17 +280,19 @@ def _trajectory(rng: random.Random, folder: Path) -> Callable[[], object]:
 def _estimate(rng: random.Random, folder: Path) -> Callable[[], object]:
     content, information, machine = estimate()
     which = rng.choice(("json", "json", "json", "json", "information", "machine"))
+    beside = {"information.csv": mutation.text(rng, information) if which == "information" else information.encode(),
+              f"{ARM}.toml": mutation.text(rng, machine) if which == "machine" else machine.encode()}
+    for name, data in beside.items():
+        (folder / name).write_bytes(data)
+    content = content | {"files": {name: sha256(data).hexdigest() for name, data in beside.items()}}
     (folder / "estimate.json").write_bytes(mutation.tree(rng, content) if which == "json" else
                                            json.dumps(content).encode())
-    (folder / "information.csv").write_bytes(mutation.text(rng, information) if which == "information"
-                                             else information.encode())
-    (folder / f"{ARM}.toml").write_bytes(mutation.text(rng, machine) if which == "machine" else machine.encode())
 
     def read() -> None:
         answer = load(folder)
-        for use in (str, repr, lambda found: found.to_frame(), lambda found: found.files(),
+        for use in (str, repr, lambda found: found.to_frame(), lambda found: dict(found.files()),
                     lambda found: [found[name] for name in found.parameters],
-                    lambda found: found.parameters.to_csv(), lambda found: found.machine_file):
+                    lambda found: found.parameters.to_csv(), lambda found: found.machine):
             with contextlib.suppress(HydrooptError):
                 use(answer)
         for job in (lambda: parameter_source.read(str(folder)), lambda: stored_information(model(), folder),

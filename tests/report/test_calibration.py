@@ -275,7 +275,7 @@ def test_command_on_real_poses(tmp_path: Path) -> None:
     loaded = load(tmp_path)
     assert [each.as_dict() for each in loaded.parameters.rows] == content["parameters"]
     assert [each.as_dict() for each in loaded.diagnostics] == content["diagnostics"]
-    assert (loaded.machine_file is None) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
+    assert ("panda_mukca.toml" not in loaded.files()) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
 
 
 @pytest.mark.slow

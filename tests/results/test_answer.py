@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from hydroopt.errors import ProblemError
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer, load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
@@ -29,6 +30,7 @@ class Example(Answer):
     """The least that a job has to say."""
 
     job = json_file.Job.IDENTIFICATION
+    machine = load_machine("patu655_lift")
     machine_id, method, status = json_file.MachineId("crane", "", "ab" * 32), "sdp", Status.SUSPECT
     diagnostics = (Diagnostic(Kind.WORSE_THAN_ZERO, ("lift_cylinder",), {"relative": 1.31}),)
     parameters = ParameterTable([

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from hydroopt.results.json_file import validated
 from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import LINES, THRESHOLDS, Action, NextStep, Purpose, Usable, Use, Verdict, judged
@@ -60,7 +61,7 @@ def test_figures_stand_by_their_reason() -> None:
 
 def test_json_says_the_same() -> None:
     text = json.dumps(VERDICT.as_dict(), allow_nan=False)
-    assert Verdict.from_dict(json.loads(text)) == VERDICT
+    assert validated(Verdict, json.loads(text)) == VERDICT
 
 
 @pytest.mark.parametrize("count", [1, 9, 60])

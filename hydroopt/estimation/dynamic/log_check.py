@@ -20,11 +20,12 @@ from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NON
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
@@ -79,9 +80,9 @@ class LogCheck(Answer):
     job = Job.CHECK
 
     @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.problem.model.machine)
+    def machine(self) -> Machine:
+        """The machine that it is about."""
+        return self.problem.model.machine
 
     @property
     def method(self) -> str:

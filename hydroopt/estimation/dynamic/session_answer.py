@@ -14,7 +14,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterRow, row
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
@@ -76,11 +75,6 @@ class SessionAnswer(Answer):
     def scene(self) -> SceneGraph:
         """The machine's bodies and how they move together."""
         return SceneGraph(self.machine)
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.machine)
 
     @property
     def headline(self) -> str:

@@ -24,11 +24,12 @@ from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.limits.use import Course, UseOfLimit, courses
 from hydroopt.limits.watch import Watch, reach, watch
 from hydroopt.logs.table import encoded_columns
+from hydroopt.machine.machine import Machine
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
@@ -85,9 +86,9 @@ class Excitation(Answer):
     approach: Approach | None = None
 
     @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.problem.machine)
+    def machine(self) -> Machine:
+        """The machine that it is about."""
+        return self.problem.machine
 
     @property
     def method(self) -> str:

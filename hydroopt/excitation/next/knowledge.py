@@ -22,7 +22,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
-from hydroopt.results.answer import SavedAnswer, load
+from hydroopt.results.answer import Answer, load
 from hydroopt.results.covariance_file import COVARIANCE, read_covariance
 from hydroopt.results.json_file import Job
 from hydroopt.results.status import Status
@@ -141,7 +141,7 @@ class Knowledge:
             return None
         return self._shared(answer, folder)
 
-    def _shared(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
+    def _shared(self, answer: Answer, folder: Path) -> tuple[list[int], Array]:
         """Places (k,) of the numbers that an answer and this share, and the information (k, k) on them by its file."""
         found, covariance = read_covariance(answer.text_of(COVARIANCE) or "", str(folder / COVARIANCE))
         shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
@@ -167,7 +167,7 @@ class Knowledge:
             return list(range(self.geometry, len(self.names))), rows.T @ rows
         return self._beyond_file(answer, folder)
 
-    def _beyond_file(self, answer: SavedAnswer, folder: Path) -> tuple[list[int], Array]:
+    def _beyond_file(self, answer: Answer, folder: Path) -> tuple[list[int], Array]:
         if answer.text_of(COVARIANCE) is None:
             raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
                                remedy="calibrate again with this version, by method joint")

@@ -18,10 +18,11 @@ from hydroopt.excitation.next.problem import WhatNextProblem
 from hydroopt.excitation.next.sequence import State, Step, choices, lack, sequence
 from hydroopt.files import encoded
 from hydroopt.input_file import read_text
+from hydroopt.machine.machine import Machine
 from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import FILES, Job, MachineId
+from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Usable, Use
@@ -62,9 +63,9 @@ class WhatNext(Answer):
     job = Job.NEXT
 
     @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.problem.machine)
+    def machine(self) -> Machine:
+        """The machine that it is about."""
+        return self.problem.machine
 
     @property
     def method(self) -> str:

@@ -20,7 +20,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
@@ -80,11 +80,6 @@ class PosePlan(Answer):
     def machine(self) -> Machine:
         """What the poses are planned for."""
         return self.problem.machine
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.machine)
 
     @property
     def method(self) -> str:

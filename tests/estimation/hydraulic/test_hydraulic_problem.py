@@ -171,7 +171,7 @@ def test_an_estimate_is_loaded_as_it_was_saved(crane: Plant, log: Log, tmp_path:
     assert loaded.details() == estimate.details()
     assert loaded["jack.dead_band"].value == estimate["jack.dead_band"].value
     assert estimate["jack.dead_band"].value == estimate.posterior["jack.dead_band"]
-    assert load_machine(loaded.machine_file).oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"].value)
+    assert loaded.machine.oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"].value)
 
 
 def _machine(text: str) -> Machine:
