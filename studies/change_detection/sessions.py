@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt import Model, load_machine, random_trajectory, random_truth, simulate
-from hydroopt.estimation.dynamic.change import named_parts, usual_parts
+from hydroopt.estimation.dynamic.change import usual_names
 from hydroopt.estimation.dynamic.change_history import change_history
 from hydroopt.estimation.dynamic.change_space import Shape
 from hydroopt.estimation.dynamic.session_scan import session_scan
@@ -50,7 +50,7 @@ def run() -> dict[str, Any]:
 def simulated(case: Case) -> dict[str, Any]:
     """Alarms where nothing changed, and where sessions scatter; power and names of a step and a drift."""
     model = Model(load_machine(case.machine))
-    parts = named_parts(model.parameters, usual_parts(model.parameters))
+    parts = usual_names(model.parameters)
     place, k = parts.index(case.changes), model.parameters.index(case.changes)
     alarms: dict[str, list[bool]] = {key: [] for key in ("sound", "names", "scatter", "step", "drift", "detectable")}
     said: dict[str, list[str]] = {"step": [], "drift": []}
@@ -95,7 +95,7 @@ def real() -> dict[str, Any]:
     p_values = {}
     for name, (machine, log) in whole_runs().items():
         model = Model(machine)
-        parts = named_parts(model.parameters, usual_parts(model.parameters))
+        parts = usual_names(model.parameters)
         for count in PARTS:
             sessions = [stored_information(model, [part]) for part in parts_of(log, count)]
             p_values[f"{name}_{count}_parts_p"] = float(f"{session_scan(model, parts, sessions).p_value:.2g}")
