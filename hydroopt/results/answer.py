@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 import numpy as np
 
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.extras import needed
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.notebook_card import Card, CardTable, Drawn
