@@ -30,6 +30,8 @@ IMPLIED = {"rad": "q", "m": "length slide", "rad/s": "qd", "N": "force", "N*m": 
 DEVICES = {"q": "joint", "qd": "joint", "qdd": "joint", "tau": "joint", "length": "cylinder", "p_head": "cylinder",
            "p_a": "motor", "p_supply": "pump", "gyro_x": "imu", "roll": "imu"}
 """The device that a part with a channel of such a suffix is."""
+OF_JOINTS = frozenset({"angle", "position", "length", "pressure"})
+"""Quantities that a name without a part may have."""
 COUNTED = frozenset({("chambers", "a"), ("chambers", "b")} | {
     ("other", side) for side in ("left", "right", "links", "rechts")})
 """Words that tell chambers, ports or sensors apart, without saying which is which, beside numbers."""
@@ -132,17 +134,21 @@ class ChannelNames:
 
         A quantity is inferred from a unit that no other channel of the part has, and an angle from an inclination.
         """
-        if named.bare == channel:
+        if _split(named.bare) == _split(channel):
             return 3
         part = self._parts[channel.rpartition(".")[0]]
         return max((self._quantity(channel, reading, bool(named.units)) for reading in named.readings
                     if part.needed <= {word for kind, word in reading if kind == "parts"}), default=0)
 
     def fit_alone(self, named: Naming) -> str | None:
-        """The channel of a name without a part, if there is but one of that quantity."""
-        found = [channel for channel in self.channels if any(
-            self._quantity(channel, reading, stated=False) == 2 for reading in named.readings
-            if not reading & COUNTED and not any(kind == "parts" for kind, _ in reading))]
+        """The channel of a name without a part, if there is but one of that quantity.
+
+        Speeds and forces have other things than joints, such as an engine.
+        """
+        readings = [reading for reading in named.readings if not reading & COUNTED and not any(
+            kind == "parts" or (kind == "quantities" and meaning not in OF_JOINTS) for kind, meaning in reading)]
+        found = [channel for channel in self.channels
+                 if any(self._quantity(channel, reading, stated=False) == 2 for reading in readings)]
         return found[0] if len(found) == 1 else None
 
     def may_be(self, channel: str, named: Naming) -> bool:
@@ -197,7 +203,9 @@ class ChannelNames:
     def _alternatives(self, word: str) -> list[Reading]:
         """What one word may mean: for itself, for a part that the machine calls so, as a compound of known words."""
         made = [frozenset({("parts", word)})] if word in self._own else []
-        made += [each for kind, meaning in _meanings().get(word, ()) for each in self._meant(kind, meaning)]
+        called = any(part.needed == {word} for part in self._parts.values())
+        made += [each for kind, meaning in _meanings().get(word, ()) if not (called and kind == "parts")
+                 for each in self._meant(kind, meaning)]
         if not made and is_unit(word):
             made = [frozenset()]
         if not made and word.isdigit():

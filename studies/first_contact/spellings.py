@@ -82,7 +82,7 @@ def spellings() -> list[Spelling]:
 
 
 def proposed(spelling: Spelling, folder: Path) -> tuple[bool, bool]:
-    """Whether a spelling is proposed for its channels, and whether one of its columns is wrong and sure."""
+    """Whether a spelling is proposed for its channels, and whether one of its columns is wrong."""
     machine, columns = _log("excavator_imu" if spelling.quantity in ("gyro", "acceleration") else "cat215b")
     own = [channel for channel in columns if channel.rpartition(".")[2] in SUFFIXES[spelling.quantity] and not (
         channel == "swing.q" and any(word in spelling.header.lower() for word in INCLINED))]
@@ -92,8 +92,7 @@ def proposed(spelling: Spelling, folder: Path) -> tuple[bool, bool]:
     held = {each.column.header: each for each in found.proposals if each.sureness != "guess"}
     right = {header: header in held and (held[header].channel, _same(held[header].unit, unit)) == (channel, True)
              for header, channel in headers.items()}
-    return all(right.values()), any(header in held and held[header].sureness == "sure" and not right[header]
-                                    for header in headers)
+    return all(right.values()), any(header in held and not right[header] for header in headers)
 
 
 def trapped(folder: Path) -> list[str]:
@@ -126,8 +125,8 @@ def bag(folder: Path, kind: str, storage: str, topic: str) -> tuple[Path, Machin
             expected |= {channel: f"{called} {_field(channel)}" for channel in group}
             connection = None
             for k in range(0, columns["t"].size, EVERY):
-                row = {channel: columns[channel][k] for channel in group}
-                message = _message(store.types, group, row, k, ros1=ros1)
+                values = {channel: columns[channel][k] for channel in group}
+                message = _message(store.types, group, values, k, ros1=ros1)
                 connection = connection or writer.add_connection(called, message.__msgtype__, typestore=store)
                 data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, message.__msgtype__)
                 writer.write(connection, 1_790_000_000 * 10**9 + k * 20_000_000 + 3_000_000, data)
@@ -191,16 +190,15 @@ def run() -> dict[str, float]:
             figures |= {f"spellings_{quantity}_tried": len(some),
                         f"spellings_{quantity}_share": sum(right for right, _ in found.values()) / len(some),
                         f"spellings_{quantity}_held_out_share": sum(found[each][0] for each in held) / len(held),
-                        f"spellings_{quantity}_wrong_and_sure": sum(wrong for _, wrong in found.values())}
+                        f"spellings_{quantity}_wrong": sum(wrong for _, wrong in found.values())}
         signals = np.zeros(3, int)
         for storage in STORAGES:
             for kind, topics in _lists()["topics"].items():
                 for topic in topics:
                     with TemporaryDirectory() as fresh:
                         signals += sure_signals(Path(fresh), kind, storage, topic)
-        counted = ("spellings_ros_signals_tried", "spellings_ros_signals_sure", "spellings_ros_signals_wrong")
-        figures |= dict(zip(counted,
-                            map(int, signals), strict=True))
+        figures |= {f"spellings_ros_signals_{what}": int(count)
+                    for what, count in zip(("tried", "sure", "wrong"), signals, strict=True)}
         figures["spellings_traps_tried"] = len(_lists()["traps"]["headers"])
         figures["spellings_traps_proposed"] = len(trapped(folder))
     return figures
