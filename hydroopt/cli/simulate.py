@@ -54,7 +54,7 @@ def simulate(
         "Postures at which the machine stands still, such as postures.csv of plan-poses; DIR gets poses.csv."))] = None,
     map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help=(
-        f"Duration of the random or designed motion [s]; {DURATION} if not given."))] = None,
+        f"Duration of the motion [s]; {DURATION} if not given."))] = None,
     rate: Rate = None,
     seed: Seed = 0,
     truth: Annotated[str, typer.Option(

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
-    "Duration of the random or designed motion [s]; 33.28 if not given."))]
+    "Duration of the motion [s]; 33.28 if not given."))]
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
     "certificates of Dask's configuration.")]

@@ -8,7 +8,6 @@ from difflib import get_close_matches
 from typing import Annotated, Any, Self, get_args
 
 from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError, model_validator
-from pydantic_core import ErrorDetails
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
@@ -183,7 +182,7 @@ def validate(tables: Mapping[str, Any], where: str, *, whole: bool = True) -> di
     return plain
 
 
-def _of_a_part(mistake: ErrorDetails) -> bool:
+def _of_a_part(mistake: Mapping[str, Any]) -> bool:
     """Whether what is wrong of a part may be right of the whole: something is missing, or a rule over several keys."""
     kind, key = mistake["type"], mistake["loc"][-1]
     return (kind == "missing" and isinstance(key, str) and key != "name") or kind == "too_short" or (
@@ -279,7 +278,7 @@ def _note(node: Mapping[str, Any], place: str) -> Note:
     return Note(**said)
 
 
-def in_plain_words(mistakes: Sequence[ErrorDetails], data: Mapping[str, Any]) -> tuple[str, str, str]:
+def in_plain_words(mistakes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]) -> tuple[str, str, str]:
     """What, place and remedy of the first mistake, an unknown key before all: it often is the one that is missing."""
     first = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
     place = ""

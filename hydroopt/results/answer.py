@@ -201,7 +201,14 @@ class Answer(Drawn, ABC):
         return {}
 
     def text_of(self, name: str) -> str | None:
-        """The content of one of `files` that is a text; None where there is none of this name."""
+        """The content of one of `files` that is a text; None where there is none of this name.
+
+        >>> import hydroopt as ho
+        >>> motion = ho.random_trajectory("patu655_lift", duration=10, rate=20, seed=1)
+        >>> answer = ho.solve(ho.identification_problem("patu655_lift", ho.simulate("patu655_lift", motion)), "wls")
+        >>> answer.text_of("fit.csv").splitlines()[0].split(",")[0]
+        'model'
+        """
         text = self.files().get(name)
         return text if isinstance(text, str) else None
 

@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 from rich.progress import Task
 
-from hydroopt.cli import show
 from hydroopt.cli.progress_line import Left, progress_line
+from hydroopt.cli.terminal import print_table
 
 
 class Clock:
@@ -49,11 +49,11 @@ def test_a_terminal_shows_units_in_brackets() -> None:
     assert "reading t [s] and boom.q [deg]" in plain
 
 
-def test_tables_of_show_keep_units_in_brackets() -> None:
-    file = io.StringIO()
-    Console(file=file, width=80).print(show._table("Speeds", [{"time [s]": 1.5, "what": "boom.qd [rad/s]"}]))
-    assert "time [s]" in file.getvalue()
-    assert "boom.qd [rad/s]" in file.getvalue()
+def test_tables_keep_units_in_brackets(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table("Speeds", [{"time [s]": 1.5, "what": "boom.qd [rad/s]"}])
+    shown = capsys.readouterr().out
+    assert "time [s]" in shown
+    assert "boom.qd [rad/s]" in shown
 
 
 def test_nothing_is_shown_where_there_is_no_terminal() -> None:

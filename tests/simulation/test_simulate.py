@@ -84,7 +84,7 @@ def test_seeds_reproduce_and_differ(excavator: Model) -> None:
 @pytest.mark.parametrize(("duration", "rate"), [(0.0, 10.0), (-1.0, 10.0), (10.0, 0.0), (10.0, 0.1), (1e9, 1e3),
                                                 (float("nan"), 10.0)])
 def test_motions_without_samples_or_end_are_refused(excavator: Model, duration: float, rate: float) -> None:
-    with pytest.raises(ProblemError, match="simulate"):
+    with pytest.raises(ProblemError, match="simulation"):
         random_trajectory(excavator, duration=duration, rate=rate, seed=0)
 
 

@@ -162,7 +162,7 @@ def _minors(of: Array) -> tuple[Array, Array, Array]:
 
 def _products(one: Array, other: Array) -> Array:
     """Sums of products of all entries (n, s) of matrices (n, ...) and (s, ...)."""
-    return np.asarray(one.reshape(len(one), -1) @ other.reshape(len(other), -1).T)
+    return np.asarray(np.tensordot(one, other, (list(range(1, one.ndim)), list(range(1, other.ndim)))))
 
 
 def _raise(least: Array, a: Array, b: Array, c: Array, d: Array) -> None:

@@ -493,7 +493,7 @@ def test_no_length_scale_is_refused(model: KinematicModel, machine: Machine,
         notes |= {f"{link.name}.joint.a": Note(sigma=0.1), f"{link.name}.joint.d": Note(sigma=0.1)}
     loose = machine.model_copy(update={"notes": notes})
     with pytest.raises(ProblemError, match="no length scale"):
-        calibrate(calibration_problem(loose, read(model, closed, None), priors=False))
+        calibrate(calibration_problem(loose, read(model, closed, 1), priors=False))
 
 
 def test_a_fixture_that_moved_is_named(model: KinematicModel, machine: Machine,

@@ -33,7 +33,7 @@ def surveyed(name: str, *channels: str) -> KinematicModel:
     machine = load_machine(name)
     accuracy = {"length": 1e-3, "q": 2e-3, "x": 3e-3, "y": 3e-3, "z": 3e-3, "rx": 1e-3, "ry": 1e-3, "rz": 1e-3}
     pins = [f"leg{k}.{part}" for k in range(1, 7) for part in ("rod.pin", "barrel.pin", "dead_length")]
-    return KinematicModel(Machine.model_validate(machine.model_dump(exclude={"notes"}) | {
+    return KinematicModel(Machine.model_validate(machine.model_dump(exclude={"notes", "instruments"}) | {
         "calibrator": {"parent": machine.tip}, "tracker": {},
         "sensors": [{"channels": [each], "accuracy": accuracy[each.rpartition(".")[2]], "distribution": "gaussian"}
                     for each in channels],
