@@ -17,8 +17,8 @@ demo: $(READY)
 	$(BIN)/hydroopt identify kr300 data/kr300/run_A.mat --map data/kr300/map.toml --holdout 0.3 -o out/kr300
 	$(BIN)/hydroopt simulate cat215b --truth random --truth-seed 1 --seed 1 -o out/cat215b/run1
 	$(BIN)/hydroopt simulate cat215b --truth random --truth-seed 1 --seed 2 -o out/cat215b/run2
-	$(BIN)/hydroopt identify cat215b out/cat215b/run1/log.csv --validate out/cat215b/run2/log.csv -o out/cat215b
-	@echo "open out/kr300/report.html and out/cat215b/report.html"
+	$(BIN)/hydroopt identify cat215b out/cat215b/run1/log.csv --validate out/cat215b/run2/log.csv -o out/cat215b/estimate
+	@echo "open out/kr300/report.html and out/cat215b/estimate/report.html"
 
 # lint, types and every test that is not marked slow
 test: $(READY) lint

@@ -287,7 +287,7 @@ def in_plain_words(mistakes: Sequence[Mapping[str, Any]], data: Mapping[str, Any
     steps = [step for step in first["loc"] if step not in (_LINK, _CYLINDER)]
     for step in steps:
         above = node
-        node = node[step] if isinstance(node, list | dict) and step in (  # type: ignore[index]
+        node = node[step] if isinstance(node, list | dict) and step in (
             node if isinstance(node, dict) else range(len(node))) else None
         if isinstance(step, int):
             called = node.get("name") if isinstance(node, dict) else None
