@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -273,6 +274,8 @@ def test_a_bundled_machine_is_meant_though_a_folder_has_its_name(codegen) -> Non
 
 def estimate(home: Path, content: object, text: str | None = None, name: str = "crane") -> str:
     place = home / "estimate"
+    if isinstance(content, dict) and text is not None:
+        content = content | {"files": {f"{name}.toml": sha256(text.encode()).hexdigest()}}
     place.mkdir()
     raw = content if isinstance(content, str) else json.dumps(content)
     (place / "estimate.json").write_text(raw, encoding="utf-8")
