@@ -17,7 +17,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.other_ways import other_ways
-from hydroopt.model.model import Model
+from hydroopt.model.model import recent_model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.machine_diagnostics import machine_diagnostics
@@ -32,7 +32,7 @@ def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[st
 
     Of IMUs what a `motion` tells, by default a random one.
     """
-    model = Model(machine)
+    model = recent_model(machine)
     found = identifiability.structural(model)
     cylinders = [_cylinder_facts(machine, each) for each in machine.cylinders]
     parameters = [row | {"identifiability": category}

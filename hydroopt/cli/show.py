@@ -146,12 +146,12 @@ def _position(each: dict[str, Any]) -> str:
 
 def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
     from hydroopt.files import write_files
-    from hydroopt.model.model import Model
+    from hydroopt.model.model import recent_model
     from hydroopt.model.over_range import lever_arms, transmission_ratios
     from hydroopt.model.vertical_plane import limit_postures
     from hydroopt.report import machine as report
 
-    model = Model(machine)
+    model = recent_model(machine)
     facts = facts | {"linkages": [each | {"ratios": _ratios(each)} for each in facts["linkages"]]}
     page = report.render(model.scene_graph, facts, limit_postures(model), lever_arms(model),
                          transmission_ratios(model))
@@ -166,13 +166,13 @@ def _ratios(linkage: dict[str, Any]) -> str:
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
     from hydroopt.files import write_files
-    from hydroopt.model.model import Model
+    from hydroopt.model.model import recent_model
     from hydroopt.model.plant import Plant
     from hydroopt.model.workspace import sweeps
     from hydroopt.report import hydraulics as workspace
     from hydroopt.results.tables import csv_text as csv
 
-    model = Model(machine)
+    model = recent_model(machine)
     plant = Plant(model)
     with progress(f"linearising {machine.name}", as_json):
         found = sweeps(plant, model.parameters.nominal, plant.parameters.nominal)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection
-from copy import copy
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -140,7 +139,8 @@ class Limits:
 
     def while_resting(self, joints: Collection[str]) -> Limits:
         """The same limits while some joints rest."""
-        made = copy(self)
+        made = object.__new__(Limits)
+        made.__dict__.update(self.__dict__)  # a copy by `__reduce__` would write all expressions again
         made._bound(joints)
         return made
 

@@ -22,7 +22,7 @@ from hydroopt.logs.table import Array, NoNumbersError
 from hydroopt.logs.unit_words import of_kind
 from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, recent_model
 from hydroopt.units import factor
 
 Sureness = Literal["sure", "likely", "guess"]
@@ -186,7 +186,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         LogError: the file is damaged or of an unknown kind.
     """
     wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
-    model = Model(machine)
+    model = recent_model(machine)
     names = ChannelNames(wanted, _upright(model))
     with open_files([str(path)], None) as source:
         columns = [column for sheet in source.sheets for column in _columns(sheet, names)]

@@ -445,4 +445,4 @@ def model_of(given: Model | GivenMachine, where: str) -> Model:
     >>> model_of("patu655_lift", "test")
     Model('patu655_lift': 1 joint, 52 parameters, with actuator inertia)
     """
-    return given if isinstance(given, Model) else Model(machine_of(given, where))
+    return given if isinstance(given, Model) else recent_model(machine_of(given, where))

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -220,7 +221,12 @@ def validated(kind: Any, entry: Any) -> Any:
     >>> validated(tuple[int, ...], [1, 2])
     (1, 2)
     """
-    return TypeAdapter(kind).validate_python(entry)
+    return _adapter(kind).validate_python(entry)
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
 
 
 def not_an_answer(directory: Path) -> ProblemError:

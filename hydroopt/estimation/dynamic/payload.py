@@ -32,7 +32,7 @@ from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.carried_load import carried_load
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.progress import Progress, silent
@@ -195,7 +195,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
     if not 0 <= gain < 1:
         raise ProblemError(f"a relative error must be at least 0 and less than 1, not {gain:g}", where="gain",
                            remedy="give a part of one, such as 0.05")
-    model = Model(machine)
+    model = recent_model(machine)
     carrier = machine.links[-1].name if link is None else link
     columns = carried_load(model, carrier)
     names = model.parameters.grouped("friction") if friction_changes else ()

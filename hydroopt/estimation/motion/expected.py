@@ -8,7 +8,7 @@ from hydroopt.estimation.motion.problem import sensor_problem
 from hydroopt.estimation.motion.sensor_calibration import SensorCalibration, calibrate_sensors
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
-from hydroopt.model.model import Model
+from hydroopt.model.model import recent_model
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, simulate
 
 DURATION, RATE = 20.0, 50.0
@@ -31,7 +31,7 @@ def expected_calibration(machine: Machine, motion: Trajectory | None = None,
     >>> made.parameters["boom_imu.x"].std < 0.01 < made.parameters["boom_imu.x"].prior_std
     True
     """
-    model = Model(machine)
+    model = recent_model(machine)
     driven = random_trajectory(model, duration=DURATION, rate=RATE, seed=0) if motion is None else motion
     log = simulate(model, driven, noise=False, name=NAME)
     return calibrate_sensors(sensor_problem(machine, [log], poses, geometry=False))

@@ -40,7 +40,7 @@ from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.given_machine import GivenMachine, machine_of
-from hydroopt.model.model import Model
+from hydroopt.model.model import recent_model
 from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
@@ -97,7 +97,7 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
         (1001, 1)
     """
     machine = machine_of(machine, "excitation_problem")
-    model = Model(machine)
+    model = recent_model(machine)
     model.refuse_seals("excitation")
     level = {joint: float(np.clip(0.0, *machine.link(joint).joint.range)) for joint in machine.base_joints}
     measured = measured_information(machine, logs) if logs else None

@@ -34,7 +34,7 @@ from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.json_file import FILES, Job
@@ -99,7 +99,7 @@ class WhatNextProblem(Shown):
     @cached_property
     def model(self) -> Model:
         """Bodies and friction."""
-        return Model(self.machine)
+        return recent_model(self.machine)
 
     @cached_property
     def chain(self) -> KinematicModel:
@@ -345,7 +345,7 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
             raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
                                remedy="give a number from 0 on")
     dynamic = [name for name in targets if name != "tip"]
-    if dynamic and not len(Model(machine).parameters):
+    if dynamic and not len(recent_model(machine).parameters):
         raise ProblemError("the machine states no body or friction", where=f"target of '{dynamic[0]}'",
                            remedy="state them in the machine file, or ask for the tip")
     driven = tuple(motions) or tuple(_random_motions(machine, MOTIONS, sampling_rate(machine), 0))
@@ -360,9 +360,9 @@ def _random_motions(machine: Machine, count: int, rate: float, seed: int) -> Ite
     Raises:
         ProblemError: they do in none of `TRIES` motions.
     """
-    model, left = Model(machine), TRIES
+    model, left = recent_model(machine), TRIES
     for each in itertools.count(seed):
-        motion = random_trajectory(machine, duration=DURATION, rate=rate, seed=each)
+        motion = random_trajectory(model, duration=DURATION, rate=rate, seed=each)
         try:
             passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), model.parameters.nominal)
         except ProblemError as error:

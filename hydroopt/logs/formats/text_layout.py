@@ -28,7 +28,8 @@ NO_NUMBER = ("", "nan", "NaN", "NAN", "+nan", "-nan", "-nan(ind)", "NA", "N/A", 
 _INFINITE = ("inf", "+inf", "-inf", "infinity", "-infinity")
 _ENCODINGS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
               codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16", b"": "utf-8"}
-_NUMBER = re.compile(r"[+-]?((\d{1,3}(,\d{3})+|\d+)?\.?\d*|(\d{1,3}(\.\d{3})+|\d+)?,?\d*)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}((,\d{3})+(\.\d*)?|(\.\d{3})+(,\d*)?))([eE][+-]?\d+)?")
+"""No digit can be read in two ways: time grows with the length of a cell, not with its square."""
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _CLOCK = re.compile(r"[ymdhsfz]{2,}([\W_t]+[ymdhsfz]{2,})+", re.IGNORECASE)
 """A form of dates or times, such as ``hh:mm:ss``, where a unit may stand."""
