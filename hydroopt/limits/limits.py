@@ -95,9 +95,9 @@ class Limits:
         >>> model = Model(load_machine("cat215b"))
         >>> limits, itself = Limits(model), Limits(model, Reserves.none())
         >>> {row.name: row.lower for row in limits.rows}["stick above ground"].__round__(2)
-        -1.24
+        0.46
         >>> {row.name: row.lower for row in itself.rows}["stick above ground"]
-        -1.7
+        0.0
     """
 
     back_pressure = BACK_PRESSURE
@@ -286,8 +286,8 @@ class Limits:
                 # lines around an area end at each of its corners
                 for end in (part.end,) if part.link else (part.start, part.end):
                     if _varies(end[2], self.model.coordinates.q):
-                        self._add(f"{part.name} above ground", "m", end[2] - part.radius,
-                                  machine.ground + reserves.clearance, scale=1.0, seen=True, low=part.name)
+                        self._add(f"{part.name} above ground", "m", end[2] - part.radius - machine.ground,
+                                  reserves.clearance, scale=1.0, seen=True, low=part.name)
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.SX(ca.DM(obstacle.centre)) if pose is None else pose.point(ca.DM(obstacle.centre))
