@@ -140,13 +140,14 @@ def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
 
 
 def refuse_absurd(tree: Any, kind: type[HydrooptError], where: str, *, finite: bool = False) -> None:
-    """Refuse integers beyond 64 bits, which no float may hold, and tables that lie deep in each other."""
+    """Refuse integers beyond 64 bits, which no float may hold, and tables that lie deep in each other; if `finite` also
+    numbers with an infinite square, in which Python's powers end in an error."""
     level = [tree]
     for _ in range(LEVELS):
         if any(isinstance(node, int) and not -_LARGEST_INTEGER <= node < _LARGEST_INTEGER for node in level):
             raise kind("an integer has more than 64 bits", where=where, remedy="correct it")
-        if finite and not all(math.isfinite(node) for node in level if isinstance(node, float)):
-            raise kind("a number is not finite", where=where, remedy="have it written again")
+        if finite and not all(math.isfinite(node * node) for node in level if isinstance(node, float)):
+            raise kind("a number is infinite, or its square is", where=where, remedy="have it written again")
         level = [child for node in level if isinstance(node, dict | list)
                  for child in (node.values() if isinstance(node, dict) else node)]
     if level:

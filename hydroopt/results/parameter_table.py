@@ -93,7 +93,10 @@ class ParameterRow:
             return None
         if self.prior_std is None:
             return 1.0
-        return max(0.0, 1.0 - (self.std / self.prior_std) ** 2) if self.prior_std else 0.0
+        if not self.prior_std:
+            return 0.0
+        ratio = self.std / self.prior_std
+        return max(0.0, 1.0 - ratio * ratio)  # a power would overflow
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
