@@ -66,7 +66,7 @@ def compiled(wrong: str, folder: Path, log: Sequence[str]) -> str:
     folder.mkdir()
     (folder / "cc").write_text(script(WRONG[wrong]))
     (folder / "cc").chmod(0o755)
-    return _ended(["identify", "patu655_lift", *log, "--quiet"], os.environ | {
+    return _ended(["identify", "patu655_lift", *log, "--quiet", "-o", str(folder / "out")], os.environ | {
         "CC": str(folder / "cc"), "HYDROOPT_CACHE": str(folder / "cache")})
 
 

@@ -193,7 +193,7 @@ def answers(names: dict[str, str], *, thorough: bool) -> Iterator[tuple[str, Any
     yield "codegen", sum(text.count("\n") for text in files.values())
     if thorough:
         motion_problem = excitation_problem(machine, Fourier(period=6.0, harmonics=2), reserves=Reserves())
-        yield "excite", solve(motion_problem, starts=1, seconds=1e9).trajectory.q.round(9).tolist()
+        yield "excite", solve(motion_problem, starts=1, search_seconds=1e9).trajectory.q.round(9).tolist()
         yield "self-test", _self_test(files)
 
 
