@@ -20,8 +20,8 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize_scalar
 
-from hydroopt.bounded_minimum import bounded_minimum
 from hydroopt.kernels import wide_windows, windows
 from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
 
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 MIN_SAMPLES = 12
 DECAY = 30.0
 """What lies beyond a piece's end is felt inside as e⁻³⁰ after this many e-foldings: not at all."""
+PRECISION = 0.03
+"""Of log10 λ where the estimated risk is least."""
 SHARP = 4
 """Smoothings of a motion whose bandwidth is stated."""
 _DEGREE, _PENALISED, _PROBES = 5, 3, 8
@@ -179,7 +181,8 @@ class Pieces:
         exponents = np.linspace(_LOWEST, _HIGHEST, 9).tolist()
         lowest = int(np.argmin([risk(g) for g in exponents]))
         around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, len(exponents) - 1)])
-        return bounded_minimum(risk, *around, tolerance=0.03)[0]
+        with np.errstate(invalid="ignore"):  # between two infinite risks
+            return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": PRECISION}).x)
 
 
 def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
