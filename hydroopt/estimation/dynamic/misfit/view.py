@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_sign import Courses
-from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.lag import stretches
@@ -285,7 +285,7 @@ class View:
                 if same or np.any(shift[a:b, j]):
                     chosen = slice(None) if same else slice(j, j + 1)
                     at = np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1])
-                    out[:, a:b, chosen] = np.moveaxis(course(at, (slice(None), chosen)), 0, 1)
+                    out[:, a:b, chosen] = np.moveaxis(course(at)[:, :, chosen], 0, 1)
         return out[0], out[1], out[2]
 
     @cached_property
