@@ -1,4 +1,4 @@
-"""What NumPy lacks of Fourier transforms and running medians, without loading SciPy's packages."""
+"""What NumPy lacks of Fourier transforms, without loading SciPy's packages."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-LARGE = 2**20
-"""Values times the width of a median from which on SciPy's faster code is worth its loading."""
 TOGETHER = 2**15
 """Values that are transformed at a time: with all that is made of them they stay in the processor's second cache."""
 
@@ -45,19 +43,3 @@ def _twist(n: int) -> NDArray[np.complex128]:
     made = np.sqrt(2 / n) * np.exp(-0.5j * np.pi / n * np.arange(n // 2 + 1))
     made[0] *= np.sqrt(0.5)
     return np.asarray(made, dtype=complex)
-
-
-def windowed_median(values: Array, width: int) -> Array:
-    """Median of `width` (odd) neighbours along the first axis of (N, ...); the ends are repeated.
-
-    >>> windowed_median(np.array([0.0, 9.0, 1.0, 2.0, 3.0]), 3).tolist()
-    [0.0, 1.0, 2.0, 2.0, 3.0]
-    """
-    if values.size * width > LARGE:
-        from scipy.ndimage import median_filter  # noqa: PLC0415 — loaded where it pays
-
-        return np.asarray(median_filter(values, size=(width, *[1] * (values.ndim - 1)), mode="nearest"))
-    half = width // 2
-    longer = np.concatenate([np.repeat(values[:1], half, axis=0), values, np.repeat(values[-1:], half, axis=0)])
-    windows = np.lib.stride_tricks.sliding_window_view(longer, width, axis=0)
-    return np.asarray(np.partition(windows, half, axis=-1)[..., half])
