@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from hydroopt.kernels import compiler, shared_library, triangle
+from hydroopt.kernels import compiler, shared_library
 
-FILES = "triangle.c", "wide_windows.c"
+FILES = ("wide_windows.c",)
 
 
 @pytest.fixture(params=[None, "", "-mno-avx512f", "-mno-avx"])
@@ -17,7 +17,7 @@ def vectors(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     """No compiler, and one that makes code for the longest vectors, for those of four and of two numbers."""
     if request.param and platform.machine() != "x86_64":
         pytest.skip("an option of other processors")
-    kept = compiler.compiler, shared_library.of_file, triangle._compiled
+    kept = compiler.compiler, shared_library.of_file
     for each in kept:
         each.cache_clear()
     if request.param is None:

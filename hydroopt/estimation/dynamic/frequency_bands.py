@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, Triangles
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
-from hydroopt.kernels.triangle import Triangles
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
