@@ -15,15 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, factorial
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.interpolate import PPoly
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 from scipy.optimize import minimize_scalar
-
-from hydroopt.kernels import wide_windows, windows
-from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
+from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
@@ -98,8 +99,7 @@ class SmoothSpline:
         return self.basis.courses(self.coefficients[:, None])[:, :, 0]
 
     def _at(self, x: Array, derivative: int) -> Array:
-        rows = self.basis.derivative(x, derivative)
-        return np.asarray(rows @ self.coefficients) / self.basis.spacing**derivative
+        return np.asarray(self.basis.curve(self.coefficients)(x, derivative)) / self.basis.spacing**derivative
 
     def again(self, y: Array) -> "SmoothSpline":
         """The same smoothing of other samples (N,) at the same times."""
@@ -108,7 +108,7 @@ class SmoothSpline:
     def pull_back(self, rows: Sequence[Array]) -> Array:
         """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
         basis = self.basis
-        pulled = sum(basis.derivative(basis.x, order).gathered(row.T) / basis.spacing**order
+        pulled = sum(basis.derivative(order).T @ row.T / basis.spacing**order
                      for order, row in enumerate(rows))
         return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled))).T
 
@@ -156,13 +156,13 @@ class Pieces:
     def _probes(self) -> list[Array]:
         """Right-hand sides of Hutchinson's estimator of traces, with fixed signs, others for each piece."""
         rng = np.random.default_rng(0)
-        return [basis.design.gathered(rng.choice([-1.0, 1.0], (t.size, _PROBES)))
+        return [basis.design.T @ rng.choice([-1.0, 1.0], (t.size, _PROBES))
                 for basis, t in zip(self.bases, self.times, strict=True)]
 
     def _best(self, values: Sequence[Array], noise: float | None) -> float:
         """log10 λ of least estimated risk."""
         n = sum(y.size for y in values)
-        own = [basis.design.gathered(y) for basis, y in zip(self.bases, values, strict=True)]
+        own = [basis.design.T @ y for basis, y in zip(self.bases, values, strict=True)]
 
         def risk(log_weight: float) -> float:
             known, rss, freedom = log_weight in self._freedom, 0.0, 0.0
@@ -172,7 +172,7 @@ class Pieces:
                 except LinAlgError:
                     return np.inf
                 rss += float(np.sum((y - basis.design @ cho_solve_banded((factor, True), right)) ** 2))
-                freedom += 0.0 if known else float(np.sum(wide_windows.forward(factor, probes) ** 2)) / _PROBES
+                freedom += 0.0 if known else float(np.sum(lapack.dtbtrs(factor, probes, uplo="L")[0] ** 2)) / _PROBES
             freedom = self._freedom.setdefault(log_weight, freedom)
             if noise is not None:
                 return rss / n + 2 * noise**2 * freedom / n
@@ -203,28 +203,30 @@ class Basis:
         first = np.floor(first + 1e-6)  # a knot that a sample stands on up to rounding is the first, or the last
         self.start, self.intervals = grid.origin + first * self.spacing, max(1, int(np.ceil(last - first - 1e-6)))
         self.x = self.places(t)
-        self.design = self.derivative(self.x, 0)
-        self.gram = self.design.gram
+        self.first = self.cells(self.x)
+        self.design = self.derivative(0)
+        self.gram = gram(self.design, _ORDER)
 
     def places(self, t: Array) -> Array:
         """Times [s] in knot units from the first knot, none beyond the ends."""
         return np.asarray(np.clip((t - self.start) / self.spacing, 0.0, float(self.intervals)))
 
-    def derivative(self, x: Array, order: int) -> WindowedRows:
-        """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
-        cell = self._cells if x is self.x else self._cells_at(x)
-        values = windows.weights(x, cell, _derived(order)) if len(x) >= COMPILED else None
-        if values is None:
-            values = np.vander(x - cell, _ORDER - order, increasing=True) @ _derived(order)
-        return WindowedRows(values, cell, self.intervals + _DEGREE)
-
-    @cached_property
-    def _cells(self) -> NDArray[np.int32]:
-        return self._cells_at(self.x)
-
-    def _cells_at(self, x: Array) -> NDArray[np.int32]:
-        """The knot intervals (N,) that places are in."""
+    def cells(self, x: Array) -> NDArray[np.int32]:
+        """The knot intervals (N,) that places are in, and so the first of the six splines that are not zero there."""
         return np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
+
+    def values(self, x: Array, order: int) -> Array:
+        """Derivatives (N, 6) of the splines that are not zero at places x (N,), in knot units."""
+        return np.vander(x - self.cells(x), _ORDER - order, increasing=True) @ _derived(order)
+
+    def derivative(self, order: int) -> csr_array:
+        """Derivatives (N, m) of all splines at the samples, in knot units."""
+        return windowed(self.values(self.x, order), self.first, self.intervals + _DEGREE)
+
+    def curve(self, coefficients: Array) -> PPoly:
+        """The curves (...) over places, in knot units, of coefficients (m, ...)."""
+        around = sliding_window_view(coefficients, _ORDER, axis=0)
+        return PPoly(np.tensordot(_POWERS[::-1], around, (1, -1)), np.arange(self.intervals + 1.0))
 
     @cached_property
     def penalty(self) -> Array:
@@ -250,18 +252,18 @@ class Basis:
 
     def spline(self, y: Array, chosen: Filter) -> SmoothSpline:
         """The smoothing of samples y (N,) at the basis's times."""
-        coefficients = self.solve(chosen, self.design.gathered(y))
+        coefficients = self.solve(chosen, self.design.T @ y)
         return SmoothSpline(coefficients, chosen, self.bandwidth(chosen),
                             float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
 
     def courses(self, coefficients: Array) -> Array:
         """Values and first two derivatives (3, N, k) [unit of y / s^derivative] at the samples, of coefficients (m, k).
         """
-        if len(self.x) >= COMPILED:
-            made = windows.curves(self.x, self._cells, _POWERS, coefficients, 1 / self.spacing)
-            if made is not None:
-                return made
-        return np.array([(self.derivative(self.x, order) @ coefficients) / self.spacing**order for order in range(3)])
+        curve = self.curve(coefficients)
+        made = np.empty((3, len(self.x), *coefficients.shape[1:]))
+        for order, each in enumerate(made):
+            np.divide(curve(self.x, order), self.spacing**order, out=each)
+        return made
 
     def factor(self, chosen: Filter) -> Array:
         """Cholesky factor of the penalised normal equations, in band storage.
@@ -276,21 +278,30 @@ class Basis:
         factor = self.factor(chosen)
         coefficients = cho_solve_banded((factor, True), right)
         for _ in range(chosen.passes - 1):
-            left = right - self.design.gathered(self.design @ coefficients)
+            left = right - self.design.T @ (self.design @ coefficients)
             coefficients = coefficients + cho_solve_banded((factor, True), left)
         return coefficients
 
-    def solve_each(self, filters: Sequence[Filter], right: Array) -> Array:
-        """The same (m, k) of as many right-hand sides (m, k) as filters, each with its own."""
-        weights = [10.0**one.log_weight for one in filters]
-        factors = windows.factors(self.gram, self.penalty, weights) if len(right) >= COMPILED else None
-        if factors is None:
-            return np.column_stack([self.solve(one, column) for one, column in zip(filters, right.T, strict=True)])
-        coefficients, passes = factors.solved(right), np.array([one.passes for one in filters])
-        for done in range(1, int(passes.max())):
-            left = right - self.design.gathered(self.design @ coefficients)
-            coefficients += np.where(passes > done, factors.solved(left), 0.0)
-        return coefficients
+
+def windowed(values: Array, first: NDArray[Any], columns: int) -> csr_array:
+    """The matrix (N, m) whose row i holds `values` (N, w) from the column `first` (N,) on.
+
+    >>> windowed(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0, 1]), 3).toarray().tolist()
+    [[1.0, 2.0, 0.0], [0.0, 3.0, 4.0]]
+    """
+    rows, width = values.shape
+    at = np.add.outer(first, np.arange(width, dtype=first.dtype))
+    return csr_array((values.ravel(), at.ravel(), np.arange(0, rows * width + 1, width)), shape=(rows, columns))
+
+
+def gram(rows: csr_array, width: int) -> Array:
+    """The product (m, m) of the transpose of rows with these, in lower band storage (width, m).
+
+    >>> gram(windowed(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0, 1]), 3), 2).tolist()
+    [[1.0, 13.0, 16.0], [2.0, 12.0, 0.0]]
+    """
+    product = rows.T @ rows
+    return np.array([np.pad(product.diagonal(-below), (0, below)) for below in range(width)])
 
 
 def wider(passes: int) -> float:
