@@ -11,7 +11,7 @@ is stated, and not noise, what is left is smoothed again ("twicing", Tukey 1977)
 at the same frequency, but all below it: `SHARP` = 4 of them damp 0.15 % at 0.6 times it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, factorial
@@ -205,7 +205,6 @@ class Basis:
         self.x = self.places(t)
         self.first = self.cells(self.x)
         self.design = self.derivative(0)
-        self.gram = gram(self.design, _ORDER)
 
     def places(self, t: Array) -> Array:
         """Times [s] in knot units from the first knot, none beyond the ends."""
@@ -229,15 +228,29 @@ class Basis:
         return PPoly(np.tensordot(_POWERS[::-1], around, (1, -1)), np.arange(self.intervals + 1.0))
 
     @cached_property
+    def gram(self) -> Array:
+        """Sums of B_i·B_j over the samples, in band storage: by those of powers of the place in each knot interval."""
+        place, power = self.x - self.first, np.ones_like(self.x)
+        sums = np.empty((2 * _ORDER - 1, self.intervals))
+        for each in sums:
+            each[:] = np.bincount(self.first, power, self.intervals)
+            power *= place
+        return self._band(lambda i, j: np.convolve(_POWERS[:, i], _POWERS[:, j]) @ sums)
+
+    @cached_property
     def penalty(self) -> Array:
         """∫ B'''_i B'''_j dx, exact, in band storage."""
         third = _derived(_PENALISED)
         exponent = np.arange(len(third))
         cell = third.T @ (1 / (exponent[:, None] + exponent + 1)) @ third
+        return self._band(lambda i, j: cell[i, j])
+
+    def _band(self, product: Callable[[int, int], Array]) -> Array:
+        """Products of splines in band storage, of those of the i-th and the j-th spline that live in each interval."""
         band = np.zeros((_DEGREE + 1, self.intervals + _DEGREE))
         for offset in range(_DEGREE + 1):
             for j in range(_ORDER - offset):
-                band[offset, j : j + self.intervals] += cell[j, j + offset]
+                band[offset, j : j + self.intervals] += product(j, j + offset)
         return band
 
     def filter_of(self, bandwidth: float, passes: int = 1) -> Filter:
@@ -292,16 +305,6 @@ def windowed(values: Array, first: NDArray[Any], columns: int) -> csr_array:
     rows, width = values.shape
     at = np.add.outer(first, np.arange(width, dtype=first.dtype))
     return csr_array((values.ravel(), at.ravel(), np.arange(0, rows * width + 1, width)), shape=(rows, columns))
-
-
-def gram(rows: csr_array, width: int) -> Array:
-    """The product (m, m) of the transpose of rows with these, in lower band storage (width, m).
-
-    >>> gram(windowed(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0, 1]), 3), 2).tolist()
-    [[1.0, 13.0, 16.0], [2.0, 12.0, 0.0]]
-    """
-    product = rows.T @ rows
-    return np.array([np.pad(product.diagonal(-below), (0, below)) for below in range(width)])
 
 
 def wider(passes: int) -> float:

@@ -26,6 +26,13 @@ def test_splines_are_those_of_scipy(order: int) -> None:
     np.testing.assert_allclose(basis.derivative(order) @ coefficients, expected, rtol=0, atol=1e-10)
 
 
+def test_gram_holds_the_sums_of_products_over_the_samples() -> None:
+    basis = Basis(uneven(T), Grid.of(uneven(T)))
+    product = (basis.design.T @ basis.design).toarray()
+    for below, band in enumerate(basis.gram):
+        np.testing.assert_allclose(band[: len(product) - below], np.diagonal(product, -below), rtol=0, atol=1e-13)
+
+
 def test_penalty_is_the_integral_of_the_third_derivative_squared() -> None:
     basis = Basis(T[:41], Grid.of(T[:41]))
     c = np.random.default_rng(3).standard_normal(basis.intervals + 5)

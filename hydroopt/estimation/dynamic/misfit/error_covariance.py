@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, lapack
 from scipy.sparse import csr_array
 
-from hydroopt.logs.spline import Basis, Grid, gram, windowed
+from hydroopt.logs.spline import Basis, Grid, windowed
 from hydroopt.spatial.inertia import Array
 
 KNOTS = 8.0
@@ -100,4 +100,7 @@ class ErrorCovariance:
                             / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
         band = np.zeros((n * SUPPORT, n * size))
         band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
-        return cholesky_banded(band + gram(self._sensitivity, n * SUPPORT), lower=True)
+        product = self._sensitivity.T @ self._sensitivity
+        for below, row in enumerate(band):
+            row[: n * size - below] += product.diagonal(-below)
+        return cholesky_banded(band, lower=True)
