@@ -142,7 +142,7 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     for values, weights, order in ((qd, kernel[1], 1), (qdd, kernel[2], 2)):  # joints at rest have no motion but noise
         values[:, np.mean(values**2, axis=0) < 2 * (noise * np.linalg.norm(weights) / step**order) ** 2] = 0.0
     known = np.all(np.isfinite(measured[around]), axis=1)
-    calm = median_filter(np.nan_to_num(measured)[around], SPIKE, mode="nearest", axes=1)
+    calm = median_filter(np.nan_to_num(measured)[around], SPIKE, mode="nearest", axes=(1,))
     force = np.tensordot(calm, kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step

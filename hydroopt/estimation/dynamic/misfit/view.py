@@ -134,7 +134,7 @@ class View:
     @cached_property
     def spikes(self) -> NDArray[np.bool_]:
         """Readings (N, c) far off their neighbours."""
-        off = self.residual - median_filter(self.residual, 7, mode="nearest", axes=0)
+        off = self.residual - median_filter(self.residual, 7, mode="nearest", axes=(0,))
         used = self.motion.interior
         size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
         least = np.maximum(1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300, UNKNOWN * self.of_motion)
