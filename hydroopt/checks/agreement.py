@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from hydroopt.errors import HydrooptError
 from hydroopt.logs.forces_from_pressures import force_noise, pressures
@@ -15,7 +16,6 @@ from hydroopt.logs.tip_wrench import free_forces
 from hydroopt.machine.sensor import Sensor
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
-from hydroopt.spectra import windowed_median
 
 SPIKE = 5
 """Samples of the median that single spikes of forces are removed by."""
@@ -142,7 +142,7 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     for values, weights, order in ((qd, kernel[1], 1), (qdd, kernel[2], 2)):  # joints at rest have no motion but noise
         values[:, np.mean(values**2, axis=0) < 2 * (noise * np.linalg.norm(weights) / step**order) ** 2] = 0.0
     known = np.all(np.isfinite(measured[around]), axis=1)
-    calm = np.swapaxes(windowed_median(np.swapaxes(np.nan_to_num(measured)[around], 0, 1), SPIKE), 0, 1)
+    calm = median_filter(np.nan_to_num(measured)[around], SPIKE, mode="nearest", axes=(1,))
     force = np.tensordot(calm, kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step

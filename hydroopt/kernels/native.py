@@ -36,10 +36,6 @@ MUCH = 16
 LONG, PIECE = 300_000, 2000
 """Characters of C from which on code is long, and statements of it that a compiler takes at a time, whose time grows
 faster than their number."""
-LEVEL = "-O1"
-"""Level of optimisation of what is written for a machine, whose expressions are simple already: `HIGHEST` takes 1.4
-times as long to compile for the same results to the last bit, which gcc's code computes as fast; clang's code at this
-level is 0.65 times as fast as at `HIGHEST`, which takes it up to five times as long."""
 CACHED, RECYCLED = 2**20, 2**25
 """Bytes of results above which they are written past the caches, and above which memory is always fresh, thus zero."""
 
@@ -219,7 +215,7 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
     """
     here = Path(__file__).parent
     read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", *own)]
-    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)), LEVEL)
+    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)))
 
 
 def source(made: Program) -> str:

@@ -10,12 +10,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache as cached
 from pathlib import Path
 from typing import Any
 
 from hydroopt import cache
-from hydroopt.kernels.compiler import FLAGS, HIGHEST, PROBING, Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import FLAGS, PROBING, Compiler, notice, reason
 
 COUNT, NUMBER, ADDRESS = ctypes.c_long, ctypes.c_double, ctypes.c_void_p
 """What routines take: long, double, and pointers."""
@@ -35,40 +34,13 @@ def routine(library: ctypes.CDLL, name: str, *arguments: Any, result: Any = None
     return made
 
 
-@cached
-def of_file(name: str, what: str, instead: str) -> ctypes.CDLL | None:
-    """The library of a C file in this folder; None where there is none, as `loaded` says."""
-    text = Path(__file__).with_name(name).read_text("utf-8")
-    return loaded([text.encode()], lambda: text, what, instead)
-
-
-def loaded(content: Sequence[bytes], write: Callable[[], str], what: str, instead: str) -> ctypes.CDLL | None:
-    """The library of some C; None where no compiler works.
-
-    Args:
-        content: what the C depends on.
-        write: writes the C.
-        what: it computes, for the notice where it cannot be compiled.
-        instead: what happens then.
-    """
-    by = compiler()
-    if by is None or by.hangs:
-        return None
-    try:
-        return built(content, by, write)
-    except (OSError, subprocess.SubprocessError) as error:
-        notice(f"{what} cannot be compiled ({reason(error)})", instead)
-        return None
-
-
-def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], level: str = HIGHEST) -> ctypes.CDLL:
+def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> ctypes.CDLL:
     """The shared library of some C, kept in the cache under the hash of all that it depends on.
 
     Args:
         content: what the C depends on.
         by: the compiler.
         write: writes the C.
-        level: at which the compiler optimises.
 
     Raises:
         OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
@@ -76,11 +48,11 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str], leve
     """
     key = hashlib.sha256()
     how = Path(__file__).with_name("compiler.py").read_bytes()
-    for part in (*content, how, " ".join((*by.command, *FLAGS, level)).encode(), by.macros):
+    for part in (*content, how, " ".join((*by.command, *FLAGS)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
 
     def compiled(place: Path) -> Path:
-        library = by.compile(write(), place, level)
+        library = by.compile(write(), place)
         _refuse_broken(library)
         return library
 

@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from hydroopt.kernels.running_median import WIDTH as _WINDOW
-from hydroopt.kernels.running_median import residuals, running_median
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.table import runs
 
@@ -21,6 +20,8 @@ the share of changes that are so even."""
 FINEST = {"m": 1e-6, "rad": 1e-6, "Pa": 100.0}
 """Steps that the finest instruments of machines resolve, by unit: magnetostrictive transducers, encoders of 22 bits,
 16 bits of 60 bar."""
+WINDOW = 25
+"""Samples of a running median, so that spikes up to 12 samples wide stand out."""
 _SAMPLED = 16  # every how many samples tell roughly where a quantile lies
 _FEW = 1000  # samples that mostly hold one of the smallest steps
 _USUAL = 1.96 / 6  # 95th percentile of residuals, as a part of the greatest one that is usual
@@ -68,7 +69,7 @@ def out_of_order(t: Array) -> Mask:
     """
     if np.all(np.diff(t) >= 0):
         return np.zeros(t.size, bool)
-    stray = running_median(t) != t
+    stray = median_filter(t, WINDOW, mode="nearest") != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
         kept = np.where(stray, -np.inf, t)
         before, after = np.maximum.accumulate(kept), np.inf
@@ -113,13 +114,14 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
     step of such an instrument is none: without noise, as in simulated logs, the smallest true shock stands out.
     """
     mask = np.zeros(x.size, bool)
-    if x.size < _WINDOW:
+    if x.size < WINDOW:
         return mask
-    signed, worst, many = residuals(x, _USUAL)
-    # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
-    if worst <= finest or many >= x.size - int(0.95 * (x.size - 1)):
-        return mask
+    signed = x - median_filter(x, WINDOW, mode="nearest")
     residual = np.abs(signed)
+    worst = float(residual.max())
+    # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
+    if worst <= finest or np.count_nonzero(residual >= _USUAL * worst) >= x.size - int(0.95 * (x.size - 1)):
+        return mask
     usual = max(finest, high_quantile(residual, 0.95) / _USUAL)
     if 2e-3 * np.ptp(x) > usual:
         low, high = np.quantile(x, [0.01, 0.99])
@@ -132,9 +134,9 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
             usual = max(usual, 5 * lsb if np.isfinite(lsb) else 0.0)
     if worst <= usual:
         return mask
-    half, far = _WINDOW // 2, np.flatnonzero(residual > usual)
+    half, far = WINDOW // 2, np.flatnonzero(residual > usual)
     inner = (far >= half) & (far < x.size - half)
-    mask[far[inner]] = residual[far[inner]] > 8 * _spread(sliding_window_view(x, _WINDOW)[far[inner] - half])
+    mask[far[inner]] = residual[far[inner]] > 8 * _spread(sliding_window_view(x, WINDOW)[far[inner] - half])
     for i in far[~inner]:
         mask[i] = residual[i] > 8 * _spread(x[None, max(0, i - half):i + half + 1])[0]
     for i in np.flatnonzero(mask):
@@ -239,13 +241,13 @@ def frozen(x: Array, segment: NDArray[np.int64] | None = None) -> list[tuple[int
     is not meant: it is saturated there."""
     cuts = [] if segment is None else (np.flatnonzero(np.diff(segment)) + 1).tolist()
     level = [(a + start, a + stop) for a, b in pairwise([0, *cuts, x.size])
-             for start, stop in _level_runs(x[a:b], _WINDOW + 1)]
+             for start, stop in _level_runs(x[a:b], WINDOW + 1)]
     if not level:
         return []
     free = np.ones(x.size, bool)
     for start, stop in level:
         free[start:stop] = False
-    if np.count_nonzero(free) < _WINDOW or np.mean(np.diff(x)[free[1:]] == 0) > 0.1:
+    if np.count_nonzero(free) < WINDOW or np.mean(np.diff(x)[free[1:]] == 0) > 0.1:
         return []
     ends = [end for end in (np.nanmin(x), np.nanmax(x))
             if np.any(x[free] == end) or sum(x[start] == end for start, _ in level) > 1]
@@ -263,7 +265,7 @@ def held(x: Array) -> int:
     """
     steps = np.diff(x)
     at = np.flatnonzero(steps)
-    if at.size < _WINDOW:
+    if at.size < WINDOW:
         return 0
     gaps, sizes = np.diff(at), np.abs(steps[at])
     every = int(np.median(gaps))

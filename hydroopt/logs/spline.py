@@ -11,24 +11,27 @@ is stated, and not noise, what is left is smoothed again ("twicing", Tukey 1977)
 at the same frequency, but all below it: `SHARP` = 4 of them damp 0.15 % at 0.6 times it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, factorial
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
-
-from hydroopt.bounded_minimum import bounded_minimum
-from hydroopt.kernels import wide_windows, windows
-from hydroopt.logs.windowed_rows import COMPILED, WindowedRows
+from scipy.interpolate import PPoly
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
+from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
 DECAY = 30.0
 """What lies beyond a piece's end is felt inside as e⁻³⁰ after this many e-foldings: not at all."""
+PRECISION = 0.03
+"""Of log10 λ where the estimated risk is least."""
 SHARP = 4
 """Smoothings of a motion whose bandwidth is stated."""
 _DEGREE, _PENALISED, _PROBES = 5, 3, 8
@@ -96,8 +99,7 @@ class SmoothSpline:
         return self.basis.courses(self.coefficients[:, None])[:, :, 0]
 
     def _at(self, x: Array, derivative: int) -> Array:
-        rows = self.basis.derivative(x, derivative)
-        return np.asarray(rows @ self.coefficients) / self.basis.spacing**derivative
+        return np.asarray(self.basis.curve(self.coefficients)(x, derivative)) / self.basis.spacing**derivative
 
     def again(self, y: Array) -> "SmoothSpline":
         """The same smoothing of other samples (N,) at the same times."""
@@ -106,7 +108,7 @@ class SmoothSpline:
     def pull_back(self, rows: Sequence[Array]) -> Array:
         """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
         basis = self.basis
-        pulled = sum(basis.derivative(basis.x, order).gathered(row.T) / basis.spacing**order
+        pulled = sum(basis.derivative(order).T @ row.T / basis.spacing**order
                      for order, row in enumerate(rows))
         return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled))).T
 
@@ -154,13 +156,13 @@ class Pieces:
     def _probes(self) -> list[Array]:
         """Right-hand sides of Hutchinson's estimator of traces, with fixed signs, others for each piece."""
         rng = np.random.default_rng(0)
-        return [basis.design.gathered(rng.choice([-1.0, 1.0], (t.size, _PROBES)))
+        return [basis.design.T @ rng.choice([-1.0, 1.0], (t.size, _PROBES))
                 for basis, t in zip(self.bases, self.times, strict=True)]
 
     def _best(self, values: Sequence[Array], noise: float | None) -> float:
         """log10 λ of least estimated risk."""
         n = sum(y.size for y in values)
-        own = [basis.design.gathered(y) for basis, y in zip(self.bases, values, strict=True)]
+        own = [basis.design.T @ y for basis, y in zip(self.bases, values, strict=True)]
 
         def risk(log_weight: float) -> float:
             known, rss, freedom = log_weight in self._freedom, 0.0, 0.0
@@ -170,7 +172,7 @@ class Pieces:
                 except LinAlgError:
                     return np.inf
                 rss += float(np.sum((y - basis.design @ cho_solve_banded((factor, True), right)) ** 2))
-                freedom += 0.0 if known else float(np.sum(wide_windows.forward(factor, probes) ** 2)) / _PROBES
+                freedom += 0.0 if known else float(np.sum(lapack.dtbtrs(factor, probes, uplo="L")[0] ** 2)) / _PROBES
             freedom = self._freedom.setdefault(log_weight, freedom)
             if noise is not None:
                 return rss / n + 2 * noise**2 * freedom / n
@@ -179,7 +181,8 @@ class Pieces:
         exponents = np.linspace(_LOWEST, _HIGHEST, 9).tolist()
         lowest = int(np.argmin([risk(g) for g in exponents]))
         around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, len(exponents) - 1)])
-        return bounded_minimum(risk, *around, tolerance=0.03)[0]
+        with np.errstate(invalid="ignore"):  # between two infinite risks
+            return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": PRECISION}).x)
 
 
 def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
@@ -200,28 +203,39 @@ class Basis:
         first = np.floor(first + 1e-6)  # a knot that a sample stands on up to rounding is the first, or the last
         self.start, self.intervals = grid.origin + first * self.spacing, max(1, int(np.ceil(last - first - 1e-6)))
         self.x = self.places(t)
-        self.design = self.derivative(self.x, 0)
-        self.gram = self.design.gram
+        self.first = self.cells(self.x)
+        self.design = self.derivative(0)
 
     def places(self, t: Array) -> Array:
         """Times [s] in knot units from the first knot, none beyond the ends."""
         return np.asarray(np.clip((t - self.start) / self.spacing, 0.0, float(self.intervals)))
 
-    def derivative(self, x: Array, order: int) -> WindowedRows:
-        """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
-        cell = self._cells if x is self.x else self._cells_at(x)
-        values = windows.weights(x, cell, _derived(order)) if len(x) >= COMPILED else None
-        if values is None:
-            values = np.vander(x - cell, _ORDER - order, increasing=True) @ _derived(order)
-        return WindowedRows(values, cell, self.intervals + _DEGREE)
+    def cells(self, x: Array) -> NDArray[np.int32]:
+        """The knot intervals (N,) that places are in, and so the first of the six splines that are not zero there."""
+        return np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
+
+    def values(self, x: Array, order: int) -> Array:
+        """Derivatives (N, 6) of the splines that are not zero at places x (N,), in knot units."""
+        return np.vander(x - self.cells(x), _ORDER - order, increasing=True) @ _derived(order)
+
+    def derivative(self, order: int) -> csr_array:
+        """Derivatives (N, m) of all splines at the samples, in knot units."""
+        return windowed(self.values(self.x, order), self.first, self.intervals + _DEGREE)
+
+    def curve(self, coefficients: Array) -> PPoly:
+        """The curves (...) over places, in knot units, of coefficients (m, ...)."""
+        around = sliding_window_view(coefficients, _ORDER, axis=0)
+        return PPoly(np.tensordot(_POWERS[::-1], around, (1, -1)), np.arange(self.intervals + 1.0))
 
     @cached_property
-    def _cells(self) -> NDArray[np.int32]:
-        return self._cells_at(self.x)
-
-    def _cells_at(self, x: Array) -> NDArray[np.int32]:
-        """The knot intervals (N,) that places are in."""
-        return np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
+    def gram(self) -> Array:
+        """Sums of B_i·B_j over the samples, in band storage: by those of powers of the place in each knot interval."""
+        place, power = self.x - self.first, np.ones_like(self.x)
+        sums = np.empty((2 * _ORDER - 1, self.intervals))
+        for each in sums:
+            each[:] = np.bincount(self.first, power, self.intervals)
+            power *= place
+        return self._band(lambda i, j: np.convolve(_POWERS[:, i], _POWERS[:, j]) @ sums)
 
     @cached_property
     def penalty(self) -> Array:
@@ -229,10 +243,14 @@ class Basis:
         third = _derived(_PENALISED)
         exponent = np.arange(len(third))
         cell = third.T @ (1 / (exponent[:, None] + exponent + 1)) @ third
+        return self._band(lambda i, j: cell[i, j])
+
+    def _band(self, product: Callable[[int, int], Array]) -> Array:
+        """Products of splines in band storage, of those of the i-th and the j-th spline that live in each interval."""
         band = np.zeros((_DEGREE + 1, self.intervals + _DEGREE))
         for offset in range(_DEGREE + 1):
             for j in range(_ORDER - offset):
-                band[offset, j : j + self.intervals] += cell[j, j + offset]
+                band[offset, j : j + self.intervals] += product(j, j + offset)
         return band
 
     def filter_of(self, bandwidth: float, passes: int = 1) -> Filter:
@@ -247,18 +265,18 @@ class Basis:
 
     def spline(self, y: Array, chosen: Filter) -> SmoothSpline:
         """The smoothing of samples y (N,) at the basis's times."""
-        coefficients = self.solve(chosen, self.design.gathered(y))
+        coefficients = self.solve(chosen, self.design.T @ y)
         return SmoothSpline(coefficients, chosen, self.bandwidth(chosen),
                             float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
 
     def courses(self, coefficients: Array) -> Array:
         """Values and first two derivatives (3, N, k) [unit of y / s^derivative] at the samples, of coefficients (m, k).
         """
-        if len(self.x) >= COMPILED:
-            made = windows.curves(self.x, self._cells, _POWERS, coefficients, 1 / self.spacing)
-            if made is not None:
-                return made
-        return np.array([(self.derivative(self.x, order) @ coefficients) / self.spacing**order for order in range(3)])
+        curve = self.curve(coefficients)
+        made = np.empty((3, len(self.x), *coefficients.shape[1:]))
+        for order, each in enumerate(made):
+            np.divide(curve(self.x, order), self.spacing**order, out=each)
+        return made
 
     def factor(self, chosen: Filter) -> Array:
         """Cholesky factor of the penalised normal equations, in band storage.
@@ -273,21 +291,20 @@ class Basis:
         factor = self.factor(chosen)
         coefficients = cho_solve_banded((factor, True), right)
         for _ in range(chosen.passes - 1):
-            left = right - self.design.gathered(self.design @ coefficients)
+            left = right - self.design.T @ (self.design @ coefficients)
             coefficients = coefficients + cho_solve_banded((factor, True), left)
         return coefficients
 
-    def solve_each(self, filters: Sequence[Filter], right: Array) -> Array:
-        """The same (m, k) of as many right-hand sides (m, k) as filters, each with its own."""
-        weights = [10.0**one.log_weight for one in filters]
-        factors = windows.factors(self.gram, self.penalty, weights) if len(right) >= COMPILED else None
-        if factors is None:
-            return np.column_stack([self.solve(one, column) for one, column in zip(filters, right.T, strict=True)])
-        coefficients, passes = factors.solved(right), np.array([one.passes for one in filters])
-        for done in range(1, int(passes.max())):
-            left = right - self.design.gathered(self.design @ coefficients)
-            coefficients += np.where(passes > done, factors.solved(left), 0.0)
-        return coefficients
+
+def windowed(values: Array, first: NDArray[Any], columns: int) -> csr_array:
+    """The matrix (N, m) whose row i holds `values` (N, w) from the column `first` (N,) on.
+
+    >>> windowed(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0, 1]), 3).toarray().tolist()
+    [[1.0, 2.0, 0.0], [0.0, 3.0, 4.0]]
+    """
+    rows, width = values.shape
+    at = np.add.outer(first, np.arange(width, dtype=first.dtype))
+    return csr_array((values.ravel(), at.ravel(), np.arange(0, rows * width + 1, width)), shape=(rows, columns))
 
 
 def wider(passes: int) -> float:

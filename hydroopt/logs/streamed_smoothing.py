@@ -54,9 +54,9 @@ class Smoother:
                 basis = Basis(t[span], grid)
                 some = [j for j, own in enumerate(self.grids) if own == grid]
                 joints = some if len(some) < len(self.grids) else slice(None)
-                coefficients = basis.solve_each([self.filters[j] for j in some],
-                                                basis.design.gathered(q[span, joints]))
-                made = basis.courses(coefficients)
+                right = basis.design.T @ q[span, joints]
+                made = basis.courses(np.column_stack([basis.solve(self.filters[j], column)
+                                                      for j, column in zip(some, right.T, strict=True)]))
                 if made.shape == out.shape:  # of all at once
                     out = made
                 else:

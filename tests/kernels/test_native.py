@@ -67,9 +67,9 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     places: list[Path] = []
     honest = system.Compiler.compile
 
-    def compile_(by: system.Compiler, source: str, place: Path, level: str = system.HIGHEST) -> Path:
+    def compile_(by: system.Compiler, source: str, place: Path) -> Path:
         places.append(place)
-        return honest(by, source, place, level)
+        return honest(by, source, place)
 
     monkeypatch.setattr(system.Compiler, "compile", compile_)
     return places

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.linalg import LinAlgError
 from scipy.interpolate import BSpline
 
-from hydroopt.kernels import windows
 from hydroopt.logs import spline, streamed_smoothing
 from hydroopt.logs.smoothing import SmoothingSpline, condition
-from hydroopt.logs.spline import Basis, Filter, Grid
+from hydroopt.logs.spline import Basis, Grid
 
 T = 3.0 + np.arange(901) / 50
 NOISE = 2e-3
@@ -25,7 +23,14 @@ def test_splines_are_those_of_scipy(order: int) -> None:
     coefficients = np.random.default_rng(2).standard_normal(basis.intervals + 5)
     expected = BSpline(knots, coefficients, 5).derivative(order)(basis.x) if order else BSpline(knots, coefficients, 5)(
         basis.x)
-    np.testing.assert_allclose(basis.derivative(basis.x, order) @ coefficients, expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(basis.derivative(order) @ coefficients, expected, rtol=0, atol=1e-10)
+
+
+def test_gram_holds_the_sums_of_products_over_the_samples() -> None:
+    basis = Basis(uneven(T), Grid.of(uneven(T)))
+    product = (basis.design.T @ basis.design).toarray()
+    for below, band in enumerate(basis.gram):
+        np.testing.assert_allclose(band[: len(product) - below], np.diagonal(product, -below), rtol=0, atol=1e-13)
 
 
 def test_penalty_is_the_integral_of_the_third_derivative_squared() -> None:
@@ -97,49 +102,13 @@ def test_pieces_of_a_motion_of_stated_bandwidth_are_smoothed_like_the_whole(shar
     np.testing.assert_allclose(part.qdd[core], whole.qdd[:400], rtol=0, atol=1e-9 * np.max(np.abs(whole.qdd)))
 
 
-def test_systems_that_are_solved_side_by_side_are_those_solved_one_by_one() -> None:
-    rng = np.random.default_rng(5)
-    t = np.sort(rng.uniform(0.0, 100.0, 9000))
-    basis = Basis(t, Grid.of(t))
-    filters = [Filter(2.0), Filter(-2.0, 4), Filter(3.0, 2), Filter(1.0), Filter(4.0)]
-    right = basis.design.gathered(rng.standard_normal((t.size, len(filters))))
-    wanted = np.column_stack([basis.solve(one, column) for one, column in zip(filters, right.T, strict=True)])
-    found = basis.solve_each(filters, right)
-    assert windows.factors(basis.gram, basis.penalty, [1.0]) is not None
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
-    with pytest.raises(LinAlgError):
-        windows.factors(basis.gram, basis.penalty, [-1.0]).solved(right[:, :1])
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 5000])
-@pytest.mark.parametrize("order", [0, 2])
-def test_values_of_the_splines_are_those_of_scipy(count: int, order: int) -> None:
-    rng = np.random.default_rng(count)
-    x, powers = np.sort(rng.uniform(0.0, 9.0, count)), spline._derived(order)
-    if count > 1:
-        x[:2] = 0.0, np.nan
-    found = windows.weights(x, np.nan_to_num(x).astype(np.int32), powers)
-    assert found is not None
-    knots = np.arange(-5.0, 15.0)
-    for k in range(len(knots) - 6):
-        own = BSpline.basis_element(knots[k : k + 7], extrapolate=False)
-        own = np.nan_to_num((own if not order else own.derivative(order))(x))
-        inside = (np.floor(x) >= knots[k]) & (np.floor(x) < knots[k] + 6)
-        here = np.flatnonzero(inside)
-        column = (k - np.floor(x[here])).astype(int)
-        np.testing.assert_allclose(found[here, column], own[here], rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(np.isnan(found), np.repeat(np.isnan(x), 6).reshape(-1, 6))
-
-
-def test_courses_are_those_of_each_derivative(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("shape", [(), (3,)])
+def test_courses_are_those_of_each_derivative(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(6)
     t = 7.0 + np.sort(rng.uniform(0.0, 100.0, 5000))
     basis = Basis(t, Grid.of(t))
-    coefficients = rng.standard_normal((basis.intervals + 5, 3))
+    coefficients = rng.standard_normal((basis.intervals + 5, *shape))
     found = basis.courses(coefficients)
-    monkeypatch.setattr(windows, "curves", lambda *_: None)
-    wanted = basis.courses(coefficients)
     for order in range(3):
-        np.testing.assert_allclose(found[order], wanted[order], rtol=0, atol=1e-12 * np.abs(wanted[order]).max())
-        reference = basis.derivative(basis.x, order) @ coefficients / basis.spacing**order
-        np.testing.assert_allclose(wanted[order], reference, rtol=0, atol=1e-12 * np.abs(reference).max())
+        reference = basis.derivative(order) @ coefficients / basis.spacing**order
+        np.testing.assert_allclose(found[order], reference, rtol=0, atol=1e-12 * np.abs(reference).max())

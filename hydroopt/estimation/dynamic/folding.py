@@ -1,18 +1,72 @@
-"""Rows of a regressor folded into one small triangle for each actuator."""
+"""Rows of a regressor folded into small triangles: of each actuator, and of bands of rows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.kernels.triangle import Triangles
 from hydroopt.spatial.inertia import Array
 
 ROWS = 1024
 """Samples whose rows are computed together."""
+PANEL = 8
+"""Columns that LAPACK reflects together: with as few, twice as fast as `numpy.linalg.qr` for a few dozen columns."""
+
+
+class Triangles:
+    """Rows (·, k) of several bands with the sums of squares of all that were folded: these, or a triangle (k, k) where
+    they would be more than k.
+
+    >>> folded = Triangles(2, 1)
+    >>> folded.fold(np.array([[3.0], [4.0], [7.0]]), [0, 2, 3])
+    >>> [abs(folded[0]).tolist(), folded[1].tolist()]  # the signs of rows are free
+    [[[5.0]], [[7.0]]]
+    """
+
+    def __init__(self, bands: int, columns: int) -> None:
+        self.columns = columns
+        self._rows = [np.zeros((0, columns))] * bands
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was folded."""
+        return not any(map(len, self._rows))
+
+    def __getitem__(self, band: int) -> Array:
+        """Rows (·, k) of a band."""
+        return self._rows[band]
+
+    def fold(self, rows: Array, edges: Sequence[int] | NDArray[np.intp]) -> None:
+        """Add rows (N, k): those from one of the `edges` (bands + 1,) to the next one to each band."""
+        for band, (first, end) in enumerate(pairwise(edges)):
+            if end > first:
+                held = len(self._rows[band])
+                both = np.empty((held + end - first, self.columns), order="F")
+                both[:held], both[held:] = self._rows[band], rows[first:end]
+                self._rows[band] = both if len(both) <= self.columns else self._triangle(both)
+
+    def _triangle(self, rows: Array) -> Array:
+        reflected, *_ = lapack.dgeqrt(min(PANEL, self.columns), rows, overwrite_a=True)
+        return np.triu(reflected[: self.columns])
+
+    def add(self, blocks: Sequence[Array] | Triangles) -> None:
+        """Add rows (·, k) of each band."""
+        some = [blocks[band] for band in range(len(blocks))]
+        self.fold(np.concatenate(some), np.cumsum([0, *map(len, some)]))
+
+    def copy(self) -> Triangles:
+        """The same, to which others can be added."""
+        made = Triangles(0, self.columns)
+        made._rows = self._rows.copy()
+        return made
 
 
 class ActuatorTriangles:
@@ -49,7 +103,7 @@ class ActuatorTriangles:
 
     def fold_rows(self, actuator: int, rows: Array, places: NDArray[np.intp]) -> None:
         """Add those at `places` of the rows (N, k+1) of [K, f] of an actuator in the columns that its basis keeps."""
-        self.folded[actuator].fold(rows, [0, len(places)], places)
+        self.folded[actuator].fold(rows[places], [0, len(places)])
         self.samples[actuator] += len(places)
         self.forces[actuator] += np.sum(rows[places, -1])
 

@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, Triangles
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
-from hydroopt.kernels.cosine import cosine_transform
-from hydroopt.kernels.triangle import Triangles
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
@@ -78,7 +77,8 @@ class ActuatorBands:
             self.counts[i] += np.diff(edges) * (many / count)
             contrast = np.where(later, 1.0, -1.0) * (self._repeated(i).T @ block[:-1]) if folded is self.across else ()
             whole = np.vstack([block[:-1], contrast, block[-1:]]) if len(contrast) else block
-            turned = cosine_transform(whole, here).T
+            whole[:, ~here] = 0.0
+            turned = dct(whole, norm="ortho", overwrite_x=True).T
             self.forces[i] += np.sqrt(count) * turned[0, -1]
             folded[i].fold(turned, edges)
 

@@ -14,7 +14,6 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.kernels.phases import PARTS, phases
 from hydroopt.logs.smoothing import STANDSTILL, Motion
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.parameter_kind import ParameterKind
@@ -30,8 +29,8 @@ FEW_MOVING = 0.01
 """A joint that moves in less than this part of the samples counts as standing still, since noise has the same
 effect."""
 
-WINDOW, SAME = 1.0, 5.0
-"""A joint is calm where it is slow throughout this time [s]. It is at rest where the mean measured positions of `PARTS`
+WINDOW, PARTS, SAME = 1.0, 4, 5.0
+"""A joint is calm where it is slow throughout this time [s]. It is at rest where the mean measured positions of so many
 parts of it differ by less than so many standard deviations."""
 
 ROUNDING = 1e-9
@@ -160,8 +159,8 @@ class Phases:
         edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
         for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
             span = slice(start, stop)
-            given = motion.t[span], angles[span], motion.qd[span], shifts, limits.slow, SAME * limits.sigma
-            moving[span], calm[span], rest[span] = phases(*given, STANDSTILL * WINDOW) or _phases(*given)
+            moving[span], calm[span], rest[span] = _phases(motion.t[span], angles[span], motion.qd[span], shifts,
+                                                           limits.slow, SAME * limits.sigma)
         return cls(moving, calm, rest & calm)
 
     def at_rest(self, motion: Motion) -> Motion:
@@ -183,7 +182,16 @@ class Phases:
 
 def _phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, apart: Array
             ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """As the compiled `phases`."""
+    """Where joints move, are calm, and have one mean in all parts of the window, (N, c) each, in one stretch.
+
+    Args:
+        t: times (N,) [s], not decreasing.
+        angles: measured positions (N, c).
+        speeds: (N, c).
+        shifts: (PARTS + 1,) from a sample's time to the first of each part of its window, and to the end [s].
+        slow: (c,) speeds up to which joints do not move.
+        apart: (c,) difference of two means of one sample each, over the square root of 2, up to which they are one.
+    """
     places = np.array([np.searchsorted(t, t + shift) for shift in shifts.tolist()])
     same = _same_mean(angles, places, apart)
     moving, calm = (np.abs(speeds) > slow) & ~same, np.empty_like(same)
@@ -194,7 +202,7 @@ def _phases(t: Array, angles: Array, speeds: Array, shifts: Array, slow: Array, 
 
 
 def _same_mean(angles: Array, places: NDArray[np.intp], apart: Array) -> NDArray[np.bool_]:
-    """Whether positions (N, n) have one mean in all parts of a window about each sample; `apart` (n,) as of `phases`.
+    """Whether positions (N, n) have one mean in all parts of a window about each sample; `apart` (n,) as of `_phases`.
 
     `places` (parts + 1, N) are the first samples of the parts, and one after the last.
     """

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.joint_angles import angle_from_length
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
-from hydroopt.bounded_minimum import bounded_minimum
 from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
 from hydroopt.estimation.dynamic.holds import HoldEquations
 from hydroopt.estimation.inference.band_variances import (
@@ -272,9 +272,9 @@ def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra
 
     for _ in range(ROUNDS):
         for kind in kinds:
-            best, least = bounded_minimum(partial(deviance, kind), *BETWEEN)
+            best = minimize_scalar(partial(deviance, kind), bounds=BETWEEN, method="bounded")
             none = deviance(kind, -np.inf)
-            variance[kind] = float(np.exp(best)) if least < none else 0.0
+            variance[kind] = float(np.exp(best.x)) if best.fun < none else 0.0
     for kind in (kind for kind in kinds if variance[kind] > 0):
         shares = [variance[kind] * np.linalg.solve(covariance(i), parts[i, kind]) for i in own]
         freedom = float(sum(np.sum(share * share.T) for share in shares))

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solveh_banded
+from scipy.special import fdtrc, stdtrit
 
-from hydroopt import tails
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.spatial.inertia import Array
 
@@ -36,6 +36,8 @@ FAINT = 1e-10
 """Singular value, relative to the largest, below which a direction is rounding error and has no variance of its own."""
 MANY = 1e9
 """Degrees of freedom that are as good as infinitely many."""
+FEWEST = 0.02
+"""Degrees of freedom that are as good as none: the quantile of Student's t is 1e64, and still a number."""
 NORMAL = 1.959964
 """Quantile of the normal distribution at 97.5 %, by which 95 % intervals are computed."""
 
@@ -239,7 +241,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
 
 def students(freedom: Array) -> Array:
     """Factors on rows of unit variance with which normal 95 % intervals are as wide as those of Student's t."""
-    return np.asarray(NORMAL / tails.student_quantile(np.minimum(freedom, MANY)))
+    return np.asarray(NORMAL / stdtrit(np.clip(freedom, FEWEST, MANY), 0.975))
 
 
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
@@ -312,4 +314,4 @@ def f_test(sums: Array, shares: Array, freedom: Array) -> FTest:
     eta = min(max(k / np.sum(1 / combined(shares, freedom)), 2.0) * (k + 1) / 2, MANY)
     left = eta - k + 1
     statistic = float(sums @ sums) * left / (eta * k)
-    return FTest(statistic, k, left, tails.fisher(k, left, float(statistic)))
+    return FTest(statistic, k, left, float(fdtrc(k, left, statistic)))

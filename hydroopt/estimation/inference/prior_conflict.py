@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import chdtrc, ndtr
 
-from hydroopt import tails
 from hydroopt.spatial.inertia import Array
 
 WIDE = 1e3
@@ -120,8 +119,8 @@ def prior_test(R: Array, r: Array, prior: tuple[Array, Array], scale: Array, nom
         if information > INFORMED:
             score = float(np.sum(along * u / spread) + beside @ y)
             found.append(Conflict(name, 1 + score / information, information**-0.5,
-                                  float(2 * tails.normal(abs(score) / np.sqrt(information)))))
-    return PriorTest(float(tails.chi_square(int(np.sum(tested)), square)) if np.any(tested) else 1.0,
+                                  float(2 * ndtr(-abs(score) / np.sqrt(information)))))
+    return PriorTest(float(chdtrc(np.sum(tested), square)) if np.any(tested) else 1.0,
                      int(np.sum(tested)), tuple(sorted(found, key=lambda one: one.p_value)))
 
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
-from hydroopt.tails import chi_square
 
 CONTRADICTED = 1e-3
 """Probability, over all groups of numbers, below which they contradict what is stated of them."""
@@ -51,7 +51,7 @@ def _further(names: Sequence[str], group: str, own: NDArray[np.intp], off: Array
     if not determined.any():
         return None
     squares = (vectors[:, determined].T @ off[own]) ** 2 / values[determined]
-    p = chi_square(len(squares), float(np.sum(squares)))
+    p = float(special.chdtrc(len(squares), np.sum(squares)))
     if (tests + 1) * p >= CONTRADICTED:
         return None
     far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], DETERMINED))

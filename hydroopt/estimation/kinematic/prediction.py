@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
 from hydroopt.estimation.kinematic.observability import linearise
@@ -13,7 +14,6 @@ from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import KinematicSolution
 from hydroopt.logs.poses import Poses
 from hydroopt.spatial.inertia import Array
-from hydroopt.tails import chi_square, fisher
 
 NORMAL_95 = 1.959964
 """Standard deviations on each side of a 95 % interval."""
@@ -85,10 +85,11 @@ def prediction_test(solution: KinematicSolution, poses: Poses) -> PredictionTest
     there = variance > LEAST * noise
     turned = by_geometry.T @ residual
     explained = turned @ np.linalg.solve(by_geometry.T @ by_geometry + noise * np.eye(len(turned)), turned)
-    square = float(residual @ residual - explained) / noise
+    square = max(float(residual @ residual - explained), 0.0) / noise
     standardised, freedom = residual[there] / np.sqrt(variance[there]), int(rows.rank.sum()) - left.shape[1]
     if freedom <= 0:
         return PredictionTest(standardised, float("nan"), 1.0)
     trained = int(solution.linearised.rank.sum()) - known.rank
-    chance = fisher(freedom, trained, square / freedom) if measured and trained > 0 else chi_square(freedom, square)
+    chance = (special.fdtrc(freedom, trained, square / freedom) if measured and trained > 0
+              else special.chdtrc(freedom, square))
     return PredictionTest(standardised, float(np.sqrt(square / freedom)), float(chance))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy import special
 
 from hydroopt.estimation.inference.stated_numbers import contradicted
 from hydroopt.estimation.motion.motion_fit import FittedPaths
@@ -15,7 +16,6 @@ from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
-from hydroopt.tails import chi_square
 
 PARTS = 8
 """Parts of a motion over which a bias should stay the same."""
@@ -50,7 +50,7 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
                 drifting.append((change, channel, data))
     tests = sum(len(data.channels) for _, data in pairs)
     for (statistic, size, free), channel, data in drifting:
-        if tests * chi_square(free, statistic) < SURE:
+        if tests * special.chdtrc(free, statistic) < SURE:
             yield Diagnostic(Kind.BIAS_DRIFTS, (channel,), {
                 "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]})
     for ratio, channel, data in sorted(far, key=lambda each: -each[0]):

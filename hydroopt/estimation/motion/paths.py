@@ -44,9 +44,8 @@ class Spline:
     def support(self, t: Array) -> Support:
         """At times (N,); those beyond the ends count as the ends."""
         x = self.basis.places(t)
-        rows = [self.basis.derivative(x, order) for order in range(ORDERS)]
-        values = np.stack([row.values / self.basis.spacing**order for order, row in enumerate(rows)])
-        return Support(values, rows[0].first.astype(np.intp))
+        values = np.stack([self.basis.values(x, order) / self.basis.spacing**order for order in range(ORDERS)])
+        return Support(values, self.basis.cells(x).astype(np.intp))
 
     @property
     def roughness(self) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, Triangles
 from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -97,3 +97,48 @@ def test_bands_keep_the_squares_of_rows_that_differ_between_the_halves(cat215b: 
         row = np.hstack([K[:, i, basis.own], sign * K[:, i, extra], force[:, i, None]])
         squares = sum(float(np.sum((block @ v) ** 2)) for block in (whole.across[i][b] for b in range(BANDS)))
         assert squares == pytest.approx(float(np.sum((row[taken[:, i]] @ v) ** 2)), rel=1e-11)
+
+
+def folded(*blocks: np.ndarray) -> np.ndarray:
+    made = Triangles(1, blocks[0].shape[1])
+    for block in blocks:
+        made.fold(block, [0, len(block)])
+    return made[0]
+
+
+def test_small_directions_keep_their_size_beside_large_ones() -> None:
+    # the products of the columns would have lost what is 1e-9 of them
+    base = np.random.default_rng(1).standard_normal((5000, 9))
+    rows = base[:, [0, 1, 2, 3, 4, 5, 6, 7, 0]]
+    rows[:, 8] += 1e-9 * base[:, 8]
+    R = folded(rows[:2500], rows[2500:])
+    assert abs(R[8, 8]) == pytest.approx(1e-9 * np.sqrt(5000 - 8), rel=0.05)
+
+
+def test_bands_with_columns_of_zeros() -> None:
+    rng = np.random.default_rng(2)
+    edges = [0, 0, 2, 7, 40, 500]
+    one, other = Triangles(5, 6), Triangles(5, 6)
+    assert one.empty
+    wanted: list[list[np.ndarray]] = [[] for _ in range(5)]
+    for made in (one, other, other):
+        rows = rng.standard_normal((500, 6))
+        rows[:, [0, 4]] = 0.0
+        made.fold(rows, edges)
+        for band, (own, first, end) in enumerate(zip(wanted, edges, edges[1:], strict=False)):
+            own.append(rows[first:end])
+            assert len(made[band]) <= 6
+    before = one.copy()
+    one.add(other)
+    for band, own in enumerate(wanted):
+        for some, stacked in ((one, np.vstack(own)), (before, own[0])):
+            np.testing.assert_allclose(some[band].T @ some[band], stacked.T @ stacked, rtol=0, atol=1e-11)
+            assert np.all(some[band][:, [0, 4]] == 0)
+    assert len(one[0]) == 0
+    assert not one.empty
+
+
+def test_what_is_no_number_is_not_lost() -> None:
+    rows = np.random.default_rng(3).standard_normal((400, 5))
+    rows[77, 2] = np.nan
+    assert np.any(np.isnan(folded(rows)))

@@ -65,7 +65,7 @@ def test_inner_products_are_those_of_the_dense_covariance() -> None:
     for j in range(n):
         C = np.linalg.inv((dense(basis.gram) + 10.0 ** basis.filter_of(bandwidth[j]).log_weight * dense(basis.penalty))
                           / angle_noise[j] ** 2)
-        G = np.concatenate([sum(by_motion[o, k, i, j] * (basis.derivative(basis.x[k : k + 1], o) @ every)
+        G = np.concatenate([sum(by_motion[o, k, i, j] * (basis.derivative(o)[[k]] @ every)
                                 / basis.spacing**o for o in range(3)) for k, i in np.argwhere(taken)])
         V += G @ C @ G.T
     np.testing.assert_allclose(whitened.inner(whitened), X.T @ np.linalg.solve(V, X), rtol=1e-8)

@@ -17,6 +17,7 @@ from hydroopt.estimation.inference.band_variances import (
     combined,
     f_test,
     score_rows,
+    students,
 )
 
 N, BANDS = 512, 8
@@ -108,6 +109,11 @@ def test_errors_that_rows_share_widen_only_what_they_move() -> None:
     plain, wide = plain @ plain.T, wide @ wide.T
     assert wide[0, 0] == pytest.approx(plain[0, 0] + 0.25, rel=0.02)
     assert wide[1, 1] == pytest.approx(plain[1, 1], rel=0.3)
+
+
+def test_hardly_any_freedom_gives_a_wide_interval_and_no_overflow() -> None:
+    assert np.all(1 / students(np.array([0.0, 1e-4, 0.01])) > 1e60)
+    np.testing.assert_allclose(students(np.array([1e12, np.inf])), 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("freedom", [6.0, 30.0])

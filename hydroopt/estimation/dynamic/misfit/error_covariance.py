@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded
+from scipy.linalg import cholesky_banded, lapack
+from scipy.sparse import csr_array
 
-from hydroopt.kernels import wide_windows
-from hydroopt.logs.spline import Basis, Grid
-from hydroopt.logs.windowed_rows import WindowedRows
+from hydroopt.logs.spline import Basis, Grid, windowed
 from hydroopt.spatial.inertia import Array
 
 KNOTS = 8.0
@@ -73,26 +72,25 @@ class ErrorCovariance:
         if reading is not None:
             rows = np.flatnonzero(np.nonzero(self.taken)[1] == reading)
             scaled = columns[self.taken[:, reading]] / self.size[rows, None]
-            own = WindowedRows(self._sensitivity.values[rows], self._sensitivity.first[rows], self._sensitivity.columns)
-            return Whitened(scaled, self._seen(own, scaled), rows)
+            return Whitened(scaled, self._seen(self._sensitivity[rows], scaled), rows)
         chosen = columns[self.taken] if columns.ndim == 3 else columns
         scaled = chosen / self.size[:, None]
         return Whitened(scaled, self._seen(self._sensitivity, scaled))
 
-    def _seen(self, sensitivity: WindowedRows, scaled: Array) -> Array:
+    def _seen(self, sensitivity: csr_array, scaled: Array) -> Array:
         """What columns (rows, c) over their noise say of the motion's errors, in coordinates of unit variance."""
-        return wide_windows.forward(self._factor, sensitivity.gathered(scaled))
+        return np.asarray(lapack.dtbtrs(self._factor, sensitivity.T @ scaled, uplo="L")[0])
 
-    def _rows(self, basis: Basis, by_motion: Array) -> WindowedRows:
+    def _rows(self, basis: Basis, by_motion: Array) -> csr_array:
         """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""
         N, c, n = by_motion.shape[1:]
         values = np.zeros((N, c, SUPPORT, n))
         for order in range(3):
-            splines = basis.derivative(basis.x, order).values / basis.spacing**order
+            splines = basis.values(basis.x, order) / basis.spacing**order
             values += by_motion[order][:, :, None, :] * splines[:, None, :, None]
         data = values[self.taken].reshape(self.size.size, n * SUPPORT) / self.size[:, None]
-        first = np.broadcast_to(n * basis.design.first.astype(np.int64)[:, None], (N, c))[self.taken]
-        return WindowedRows(data, first, n * (basis.intervals + SUPPORT - 1))
+        first = np.broadcast_to(n * basis.first[:, None], (N, c))[self.taken]
+        return windowed(data, first, n * (basis.intervals + SUPPORT - 1))
 
     def _factored(self, basis: Basis, noise: Array, bandwidth: Array) -> Array:
         """Cholesky factor, in band storage, of C⁻¹ + Gᵀ·D⁻¹·G."""
@@ -102,4 +100,7 @@ class ErrorCovariance:
                             / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
         band = np.zeros((n * SUPPORT, n * size))
         band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
-        return cholesky_banded(band + self._sensitivity.gram, lower=True)
+        product = self._sensitivity.T @ self._sensitivity
+        for below, row in enumerate(band):
+            row[: n * size - below] += product.diagonal(-below)
+        return cholesky_banded(band, lower=True)

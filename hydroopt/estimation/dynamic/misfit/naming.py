@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import special
 
-from hydroopt import tails
 from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.listed_faults import listed
@@ -218,7 +218,7 @@ class Search:
         near.sort(key=lambda cause: -cause.evidence)
         shown = [c for c in near if c.evidence > EVIDENCE and not (c.fault.positive and c.size < 0)
                  and abs(c.size) < LARGEST * c.fault.scale
-                 and len(self.faults) * 2 * tails.normal(abs(c.size) / c.std) < ALARM]
+                 and len(self.faults) * 2 * special.ndtr(-abs(c.size) / c.std) < ALARM]
         return tuple(c for c in shown if c.evidence > shown[0].evidence - max(TIED, ROUGH * shown[0].evidence))
 
     def _followed(self, cause: Cause) -> Cause:
@@ -302,7 +302,7 @@ def _of_noise(information: Array, score: Array) -> float:
     values, vectors = np.linalg.eigh(information)
     kept = values > 1e-4 * max(values[-1], 1e-300)
     statistic = float(np.sum((vectors[:, kept].T @ score) ** 2 / values[kept]))
-    return tails.chi_square(int(np.sum(kept)), statistic) if kept.any() else 1.0
+    return float(special.chdtrc(np.sum(kept), statistic)) if kept.any() else 1.0
 
 
 def _weighed(fault: Fault, size: float, statistic: float, information: float) -> Cause:

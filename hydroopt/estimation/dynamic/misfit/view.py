@@ -8,10 +8,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_sign import Courses
-from hydroopt.logs.cubic_spline import CubicSpline
 from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.lag import stretches
@@ -22,7 +23,6 @@ from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
-from hydroopt.spectra import windowed_median
 
 SPIKE = 6.0
 """Distance from the running median, in robust standard deviations, beyond which a residual is a spike."""
@@ -134,7 +134,7 @@ class View:
     @cached_property
     def spikes(self) -> NDArray[np.bool_]:
         """Readings (N, c) far off their neighbours."""
-        off = self.residual - windowed_median(self.residual, 7)
+        off = self.residual - median_filter(self.residual, 7, mode="nearest", axes=(0,))
         used = self.motion.interior
         size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
         least = np.maximum(1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300, UNKNOWN * self.of_motion)
@@ -285,7 +285,7 @@ class View:
                 if same or np.any(shift[a:b, j]):
                     chosen = slice(None) if same else slice(j, j + 1)
                     at = np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1])
-                    out[:, a:b, chosen] = np.moveaxis(course(at, (slice(None), chosen)), 0, 1)
+                    out[:, a:b, chosen] = np.moveaxis(course(at)[:, :, chosen], 0, 1)
         return out[0], out[1], out[2]
 
     @cached_property
@@ -398,7 +398,7 @@ class View:
 
 
 def _slow(x: Array, window: int) -> Array:
-    calm = windowed_median(x, window)
+    calm = median_filter(x, window, mode="nearest")
     padded = np.pad(calm, window // 2, mode="edge")
     return np.convolve(padded, np.full(window, 1.0 / window), mode="valid")
 
