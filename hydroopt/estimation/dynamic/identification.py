@@ -230,6 +230,6 @@ def body_groups(parameters: ParameterSet, machine: Machine) -> dict[str, tuple[s
     links = tuple(owner for owner in owners if owner in {link.name for link in machine.links})
     ends = tuple(owner for owner in owners if "." in owner)
     rest = tuple(owner for owner in owners if owner not in {*links, *ends})
-    several = {"links": links, "barrels and rods": ends, "calibrator": rest, "all bodies": owners}
+    several = {"all links": links, "barrels and rods": ends, "the calibrator's": rest, "all bodies": owners}
     return {owner: (owner,) for owner in owners} | {
         name: some for name, some in several.items() if len(some) > 1 and (name != "all bodies" or some != links)}
