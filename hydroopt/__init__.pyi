@@ -8,10 +8,6 @@ from .errors import SolverError as SolverError
 from .estimation.combined.estimate import CombinedEstimate as CombinedEstimate
 from .estimation.combined.problem import CombinedProblem as CombinedProblem
 from .estimation.combined.problem import combined_problem as combined_problem
-from .estimation.dynamic.change import Change as Change
-from .estimation.dynamic.change import detect_change as detect_change
-from .estimation.dynamic.change_history import ChangeHistory as ChangeHistory
-from .estimation.dynamic.change_history import detect_changes as detect_changes
 from .estimation.dynamic.estimate import Estimate as Estimate
 from .estimation.dynamic.friction_candidates import FrictionChoice as FrictionChoice
 from .estimation.dynamic.friction_choice import choose_friction as choose_friction
@@ -22,6 +18,8 @@ from .estimation.dynamic.payload import Payload as Payload
 from .estimation.dynamic.payload import payload as payload
 from .estimation.dynamic.problem import IdentificationProblem as IdentificationProblem
 from .estimation.dynamic.problem import identification_problem as identification_problem
+from .estimation.dynamic.session_comparison import SessionComparison as SessionComparison
+from .estimation.dynamic.session_comparison import compare as compare
 from .estimation.hydraulic.estimate import HydraulicEstimate as HydraulicEstimate
 from .estimation.hydraulic.problem import HydraulicProblem as HydraulicProblem
 from .estimation.hydraulic.problem import hydraulic_problem as hydraulic_problem

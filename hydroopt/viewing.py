@@ -25,10 +25,9 @@ PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
          "PosePlan": ("hydroopt.report.pose_plan", "render"), "MeasureUpPlan": ("hydroopt.report.pose_plan", "render"),
          "CalibratorDesign": ("hydroopt.report.calibrator", "render"),
          "WhatNext": ("hydroopt.report.what_next", "render"),
-         "Change": ("hydroopt.report.comparison", "render_change"),
-         "Payload": ("hydroopt.report.comparison", "render_payload"),
-         "Weighing": ("hydroopt.report.weighing", "render"),
-         "ChangeHistory": ("hydroopt.report.change_history", "render_history")}
+         "SessionComparison": ("hydroopt.report.sessions", "render_comparison"),
+         "Payload": ("hydroopt.report.sessions", "render_payload"),
+         "Weighing": ("hydroopt.report.weighing", "render")}
 """Module and name of what writes the page of each answer."""
 VIEW = "view.html"
 TALL = 900

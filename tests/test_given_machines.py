@@ -47,8 +47,7 @@ TAKING: dict[str, Taking] = {
     "check_logs": lambda m, logs: ho.check_logs(m, logs[0]),
     "scale": lambda m, logs: ho.scale(m, logs[:1], ho.CarriedLoad("lift", (0.5, 0.0, 0.0), (0.1,) * 3, 500.0)).psi,
     "payload": lambda m, logs: ho.payload(m, logs[0], logs[1], link="lift"),
-    "detect_change": lambda m, logs: ho.detect_change(m, logs[0], logs[1], intervals=False),
-    "detect_changes": lambda m, logs: ho.detect_changes(m, list(logs)),
+    "compare": lambda m, logs: ho.compare(m, list(logs)),
     "path_difference": lambda m, logs: ho.path_difference(m, NAME, {"lift": [0.1, 0.2]}, "lift").rms,
 }
 GEOMETRY: dict[str, Taking] = {

@@ -57,7 +57,8 @@ def test_toml_beyond_sense_is_refused_at_once(tmp_path, text):
 
 
 @pytest.mark.parametrize("text", ["[" * 10**5, '{"a": ' * 200 + "1" + "}" * 200, '{"a": ' + "1" * 309 + "}", "[1]", "",
-                                  '{"a": NaN}', '{"a": 1e999}', '{"a": 1e200}', "\ud800", r'{"a": "\ud800"}', r'{"\udfff": 1}'])
+                                  '{"a": NaN}', '{"a": 1e999}', '{"a": 1e200}', "\ud800", r'{"a": "\ud800"}',
+                                  r'{"\udfff": 1}'])
 def test_json_beyond_sense_is_refused(tmp_path, text):
     (tmp_path / "truth.json").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ProblemError):

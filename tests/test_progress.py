@@ -27,11 +27,11 @@ def planned(progress: Progress) -> None:
 
 
 def compared(progress: Progress) -> None:
-    ho.detect_change(LIFT, *logs(2), intervals=False, progress=progress)
+    ho.compare(LIFT, logs(2), progress=progress)
 
 
 def compared_several(progress: Progress) -> None:
-    ho.detect_changes(LIFT, logs(3), progress=progress)
+    ho.compare(LIFT, logs(3), progress=progress)
 
 
 def written(progress: Progress) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -25,9 +25,6 @@ from hydroopt.cli.options import (
     smoothing_of,
 )
 from hydroopt.errors import ProblemError
-
-if TYPE_CHECKING:
-    from hydroopt.results.answer import Answer
 
 
 def compare(
@@ -52,12 +49,9 @@ def compare(
 
     Example: hydroopt compare cat215b monday.csv friday.csv -o out/change
     """
-    from hydroopt.estimation.dynamic import change_history, two_session_answer
-    from hydroopt.estimation.dynamic.change import detect_change
-    from hydroopt.estimation.dynamic.change_history import detect_changes
+    from hydroopt.estimation.dynamic import session_comparison
     from hydroopt.machine.machine_file import load_machine
-    from hydroopt.report.change_history import render_history
-    from hydroopt.report.comparison import render_change
+    from hydroopt.report.sessions import render_comparison
     from hydroopt.results.json_file import Job
 
     began = time.perf_counter()
@@ -69,17 +63,10 @@ def compare(
     names = None if parts is None else [part.strip() for part in parts.split(",")]
     with progress(f"comparing {len(sessions)} sessions of {described.name}", quiet) as say:
         read = [session_of(described, [path], "compare", map_file, treat) for path in sessions]
-        if len(read) == 2:
-            with failure_saved(output, Job.CHANGE, described, two_session_answer.METHOD):
-                change = detect_change(described, *read, parts=names, level=level, smoothing=way, seed=seed,
-                                       progress=say)
-            answer: Answer = change
-            page = render_change(change)
-        else:
-            with failure_saved(output, Job.CHANGE_HISTORY, described, change_history.METHOD):
-                history = detect_changes(described, read, parts=names, level=level, smoothing=way, seed=seed,
-                                         progress=say)
-            answer, page = history, render_history(history)
-        answer.save(output, pages={"report.html": page}, wall_s=time.perf_counter() - began)
-    print_answer(answer, output, quiet=quiet, as_json=as_json)
+        with failure_saved(output, Job.CHANGE, described, session_comparison.METHOD):
+            answer = session_comparison.compare(described, read, parts=names, level=level, smoothing=way, seed=seed,
+                                                progress=say)
+        answer.save(output, pages={"report.html": render_comparison(answer)}, wall_s=time.perf_counter() - began)
+    beside = [finding.text for finding in answer.findings[1:]] or [f"By a {answer.method}, false alarms at {level:g}."]
+    print_answer(answer, output, "\n".join(beside), quiet=quiet, as_json=as_json)
     refuse_refuted(answer, output)

@@ -51,10 +51,9 @@ def identify_payload(
 
     Example: hydroopt identify-payload patu655 --unloaded empty.csv --loaded full.csv -o out/load
     """
-    from hydroopt.estimation.dynamic.payload import payload
-    from hydroopt.estimation.dynamic.two_session_answer import METHOD
+    from hydroopt.estimation.dynamic.payload import METHOD, payload
     from hydroopt.machine.machine_file import load_machine
-    from hydroopt.report.comparison import render_payload
+    from hydroopt.report.sessions import render_payload
     from hydroopt.results.json_file import Job
 
     began = time.perf_counter()

@@ -45,8 +45,7 @@ class Job(StrEnum):
     POSE_PLAN = "pose plan"
     CALIBRATOR = "calibrator design"
     NEXT = "next measurements"
-    CHANGE = "comparison of two sessions"
-    CHANGE_HISTORY = "comparison of several sessions"
+    CHANGE = "comparison of sessions"
     PAYLOAD = "identification of a payload"
     WEIGHING = "weighing of loads"
     CONTROL = "comparison of controllers"
@@ -60,7 +59,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CALIBRATOR: "design.json",
          Job.NEXT: "next.json",
-         Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
+         Job.CHANGE: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
          Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json", Job.POSTURE_CHECK: "check.json"}
 """The JSON file of each job."""

@@ -5,58 +5,16 @@ from __future__ import annotations
 from hydroopt.results.wording import Kind, Words
 
 SESSION_WORDS: dict[Kind, Words] = {
-    Kind.CHANGE_DETECTED: Words(
-        "A change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = {statistic:.3g}, "
-        "{probability}; {repeat} if parts of one session may differ as the halves of its logs do "
-        "(φ = {phi:.2g}).{decides}"),
-    Kind.NO_CHANGE_DETECTED: Words(
-        "No change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = "
-        "{statistic:.3g}, {probability}; {repeat} if parts of one session may differ as the halves of its logs do "
-        "(φ = {phi:.2g}).{decides}"),
-    Kind.SINGLE_CHANGE: Words("A change of {subject} alone explains it: {direction} by {amount} {unit}."),
-    Kind.NO_SINGLE_CHANGE: Words(
-        "No single parameter explains it: at least two changed, or something else did."),
-    Kind.PARAMETER_CHANGED: Words("{subject} {direction} by {amount} {unit} ({probability})."),
-    Kind.PARAMETER_UNCHANGED: Words(
-        "{subject}: no change is detected ({probability}); a change above {detectable:g} {unit} would have been."),
+    Kind.CHANGE_DETECTED: Words("Changed by {where}: {what} ({probability})."),
+    Kind.NO_CHANGE_DETECTED: Words("No change over the {sessions} sessions ({probability})."),
+    Kind.SESSIONS_SCATTER: Words(
+        "Sessions differ by more than residuals explain ({probability}){size}{most}; a change must exceed that."
+        "{within}"),
     Kind.CHANGE_NOT_IDENTIFIABLE: Words(
         "The logs do not identify a change of {subject}.", "Drive a motion that excites it in every session."),
     Kind.CHANGE_CONFOUNDED: Words(
-        "The logs cannot separate a change of {subject} from one of {partners}.",
+        "The logs cannot separate changes of {subject} from one another.",
         "Vary speed and range of the motion in every session."),
-    Kind.SESSIONS_DIFFER: Words(
-        "A change over the {sessions} sessions is detected: {probability} in {tests} tests of {count} parameters "
-        "together."),
-    Kind.SESSIONS_AGREE: Words(
-        "No step or drift over the {sessions} sessions is detected: {probability} in {tests} tests of {count} "
-        "parameters together."),
-    Kind.SESSIONS_SCATTER: Words(
-        "Friction and offsets differ from session to session without any order ({probability}), by {scatter:.2g %} of "
-        "the friction force. Steps and drifts are held against that."),
-    Kind.CHANGED_TOGETHER: Words("All parameters together fit {shapes}."),
-    Kind.VARY_TOGETHER: Words("Neither one step nor a drift of all parameters together explains it."),
-    Kind.SINGLE_COURSE: Words(
-        "{subject} alone explains {what}, with {shape}: it {direction} by {amount} {unit} ({share:.0f %} of the "
-        "probability of such explanations)."),
-    Kind.PARAMETER_AGREES: Words(
-        "{subject} agrees over all sessions ({probability}); a step above {detectable:g} {unit} at {where} would have "
-        "been detected."),
-    Kind.PARAMETER_SCATTERS: Words(
-        "{subject} differs from session to session by more than residuals explain, but without any order "
-        "({probability} of no step or drift); a step above {detectable:g} {unit} at {where} would have been detected."),
-    Kind.MORE_CHANGED: Words(
-        "What the parameters named below did does not explain all of it ({probability}): something else changed, too."),
-    Kind.PARAMETER_NOT_VISIBLE: Words(
-        "{subject} is hardly visible: only a step above {detectable:g} {unit} at {where} would have been detected, "
-        "more than its assumed size of {size:g} {unit}."),
-    Kind.PARAMETER_STEPPED: Words(
-        "{subject} {direction} by {amount} {unit} at session {session}{log} ({probability})."),
-    Kind.PARAMETER_DRIFTED: Words(
-        "{subject} drifted: it {direction} by {amount} {unit} from the first session to the last ({probability})."),
-    Kind.PARAMETER_VARIES: Words(
-        "{subject} differs from session to session ({probability}); neither one step nor a drift explains it."),
-    Kind.PARAMETER_UNDECIDED: Words(
-        "{subject} changed ({probability}), but these logs do not decide between {alternatives}."),
     Kind.LOAD_IDENTIFIED: Words("The load on {subject} is {mass} kg{place}."),
     Kind.NO_LOAD_DETECTED: Words("No load is detected on {subject} ({probability}){mass}."),
     Kind.LOAD_MASS_NOT_IDENTIFIABLE: Words(

@@ -139,26 +139,9 @@ class Kind(StrEnum):
     # sessions: changes and payloads
     CHANGE_DETECTED = "change detected"
     NO_CHANGE_DETECTED = "no change detected"
-    SINGLE_CHANGE = "change of a single parameter"
-    NO_SINGLE_CHANGE = "no change of a single parameter"
-    PARAMETER_CHANGED = "parameter changed"
-    PARAMETER_UNCHANGED = "parameter unchanged"
     CHANGE_NOT_IDENTIFIABLE = "change not identifiable"
     CHANGE_CONFOUNDED = "change not separable"
-    SESSIONS_DIFFER = "sessions differ"
-    SESSIONS_AGREE = "sessions agree"
     SESSIONS_SCATTER = "sessions differ without any order"
-    CHANGED_TOGETHER = "course of all parameters together"
-    VARY_TOGETHER = "no common course of all parameters"
-    SINGLE_COURSE = "course of a single parameter"
-    PARAMETER_AGREES = "parameter agrees over all sessions"
-    MORE_CHANGED = "another parameter changed, too"
-    PARAMETER_NOT_VISIBLE = "change of a parameter not visible"
-    PARAMETER_STEPPED = "parameter changed at a session"
-    PARAMETER_DRIFTED = "parameter drifted"
-    PARAMETER_SCATTERS = "parameter differs from session to session without any order"
-    PARAMETER_VARIES = "parameter differs from session to session"
-    PARAMETER_UNDECIDED = "parameter changed, course undecided"
     LOAD_IDENTIFIED = "payload identified"
     NO_LOAD_DETECTED = "no payload detected"
     LOAD_MASS_NOT_IDENTIFIABLE = "mass of the payload not identifiable"
@@ -417,7 +400,8 @@ WORDS: dict[Kind, Words] = {
         "Record several logs, whose differences then widen the intervals, and let the machine warm up."),
     Kind.DIFFERENT_LOGS: Words(
         "Friction and offsets differ from log to log by {part:.0f %} of the friction force (standard deviation): the "
-        "intervals are those of their mean."),
+        "intervals are those of their mean.",
+        "Compare the logs in time order with `hydroopt compare`, which states a step or drift beyond their scatter."),
     Kind.STATED_CONTRADICTED: Words(
         "The readings contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
         "Check these numbers, or widen the sigmas of all of their kind: what readings do not determine stays as "

@@ -7,8 +7,8 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt import Log, Model, load_machine, payload, random_trajectory, random_truth, simulate
-from hydroopt.estimation.dynamic.change import holm, named_parts
-from hydroopt.estimation.dynamic.comparison import Wald, two_session_problem, wald
+from hydroopt.estimation.dynamic.session_comparison import named_parts
+from hydroopt.estimation.dynamic.session_model import SessionModel, session_model
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 from studies.change_detection import sessions
 from studies.panda_gaz2019 import run as panda
@@ -40,11 +40,11 @@ def run() -> dict | None:
 
 
 def false_alarms(seeds: Iterable[int]) -> tuple[np.ndarray, np.ndarray, list[tuple[bool, bool, float]]]:
-    """p-values of the joint test and the least of Holm's where nothing changed; what is seen of a change."""
-    problem, at = two_session_problem(MODEL, NAMES), NAMES.index(OF)
+    """p-values of no change, and the least of any parameter, where nothing changed; what is seen of a change."""
+    at = NAMES.index(OF)
 
-    def tested(before: StoredInformation, after: StoredInformation) -> Wald:
-        return wald(problem, *problem.rows(before, after))
+    def tested(before: StoredInformation, after: StoredInformation) -> SessionModel:
+        return session_model(MODEL, NAMES, [before, after])
 
     together, single, changed = [], [], []
     with threadpool_limits(limits=1, user_api="blas"):
@@ -53,12 +53,12 @@ def false_alarms(seeds: Iterable[int]) -> tuple[np.ndarray, np.ndarray, list[tup
             before = stored_information(MODEL, [_log(truth, 2 * seed)])
             test = tested(before, stored_information(MODEL, [_log(truth, 2 * seed + 1)]))
             together.append(test.p_value)
-            single.append(np.nanmin(holm(test.single())))
+            single.append(np.nanmin(test.each[2]))
             if seed < CHANGED:
                 truth[MODEL.parameters.index(OF)] += STEP
                 test = tested(before, stored_information(MODEL, [_log(truth, 100_000 + seed)]))
-                value, std, left = (column[at] for column in test.alone)
-                changed.append((test.p_value < 0.05, left >= 0.05, (value - STEP) / std))
+                _, (value, std, _), left = test.shapes[test.likeliest].alone()
+                changed.append((test.p_value < 0.05, left[at] >= 0.05, (value[at] - STEP) / std[at]))
     return np.array(together), np.array(single), changed
 
 

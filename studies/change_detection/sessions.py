@@ -9,17 +9,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt import Model, load_machine, random_trajectory, random_truth, simulate
-from hydroopt.estimation.dynamic.change import usual_names
-from hydroopt.estimation.dynamic.change_history import change_history
-from hydroopt.estimation.dynamic.change_space import Shape
-from hydroopt.estimation.dynamic.session_scan import session_scan
-from hydroopt.estimation.dynamic.session_scatter import random_amounts
+from hydroopt.estimation.dynamic.session_comparison import SessionComparison, session_comparison, usual_names
+from hydroopt.estimation.dynamic.session_model import Shape, random_amounts
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 from studies.repeats.run import parts_of, whole_runs
 
 SESSIONS, AT, LEVEL = 5, 3, 0.05
 SCATTER = 0.05
 """Random differences of friction and offsets from session to session, RMS over the friction force."""
+DECIDED = 0.95
+"""Probability above which `compare` states one shape."""
+LARGE = 2.0
+"""Size of the changes whose shape is asked for, over the one that is stated as detectable."""
 PARTS = (3, 4)
 """Into how many sessions real runs are cut."""
 
@@ -52,42 +53,47 @@ def simulated(case: Case) -> dict[str, Any]:
     model = Model(load_machine(case.machine))
     parts = usual_names(model.parameters)
     place, k = parts.index(case.changes), model.parameters.index(case.changes)
-    alarms: dict[str, list[bool]] = {key: [] for key in ("sound", "names", "scatter", "step", "drift", "detectable")}
+    alarms: dict[str, list[bool]] = {key: [] for key in (
+        "sound", "scatter", "step", "drift", "detectable", "interval", "others")}
     said: dict[str, list[str]] = {"step": [], "drift": []}
+
+    def compared(sessions: Sequence[StoredInformation]) -> SessionComparison:
+        return session_comparison(model, parts, sessions, LEVEL)
+
     for seed in range(case.trials):
         truth, rng = random_truth(model, seed), np.random.default_rng(seed)
         sound = [_session(case, model, truth, 10 * seed + number) for number in range(SESSIONS)]
-        scan = session_scan(model, parts, sound)
-        alarms["sound"].append(scan.p_value < LEVEL)
-        alarms["names"].append(alarms["sound"][-1] and np.nanmin(scan.p_values) < LEVEL)
-        alarms["scatter"].append(session_scan(model, parts, list(_scattered(model, parts, sound, rng))).p_value < LEVEL)
+        quiet = compared(sound)
+        alarms["sound"].append(quiet.detected)
+        alarms["scatter"].append(compared(list(_scattered(model, parts, sound, rng))).detected)
         stepped = truth.copy()
         stepped[k] += case.size
         later = [_session(case, model, stepped, 10 * seed + number) for number in range(AT - 1, SESSIONS)]
-        alarms["step"].append(session_scan(model, parts, [*sound[: AT - 1], *later]).p_value < LEVEL)
-        drifting = _following(sound, k, case.size, Shape(None))
-        alarms["drift"].append(session_scan(model, parts, drifting).p_value < LEVEL)
+        alarms["step"].append(compared([*sound[: AT - 1], *later]).detected)
+        alarms["drift"].append(compared(_following(sound, k, case.size, Shape(None))).detected)
         if seed >= case.courses:
             continue
-        put_down, alarm = (sizes[place, AT - 2] for sizes in scan.detectable(LEVEL))
-        alarms["detectable"].append(
-            session_scan(model, parts, _following(sound, k, alarm, Shape(AT))).p_value < LEVEL)
+        detectable = quiet.differences[place].detectable[AT - 2]
+        alarms["detectable"].append(compared(_following(sound, k, detectable, Shape(AT))).detected)
         for word, shape in (("step", Shape(AT)), ("drift", Shape(None))):
-            history = change_history(model, parts, _following(sound, k, 2 * put_down, shape), LEVEL).history(
-                case.changes)
-            right = history.session == shape.session
-            said[word].append(str(history.course) if right or history.course != "step" else "wrong session")
+            found = compared(_following(sound, k, LARGE * detectable, shape))
+            decided = found.shapes[0][1] > DECIDED
+            said[word].append("undecided" if not decided else "right" if found.shape == shape else "wrong")
+            if found.shape == shape:
+                own = found.differences[place]
+                alarms["interval"].append(own.ci95[0] <= LARGE * detectable <= own.ci95[1])
+                alarms["others"].append(any(one.changed for one in found.differences if one is not own))
     shares = {key: round(float(np.mean(some)), 3) for key, some in alarms.items()}
     counts = {word: Counter(courses) for word, courses in said.items()}
     size = f"{case.size:.0f}"
-    return {"trials": case.trials, "false_alarms": shares["sound"], "false_names": shares["names"],
-            "scattered_false_alarms": shares["scatter"], f"power_step_{size}_n": shares["step"],
-            f"power_drift_{size}_n": shares["drift"], "power_at_detectable": shares["detectable"],
-            "courses": case.courses, "step_at_right_session": counts["step"]["step"],
-            "step_undecided": counts["step"]["undecided"],
-            "step_wrong": counts["step"]["drift"] + counts["step"]["wrong session"],
-            "drift_right": counts["drift"]["drift"], "drift_undecided": counts["drift"]["undecided"],
-            "drift_wrong": counts["drift"]["step"] + counts["drift"]["wrong session"]}
+    return {"trials": case.trials, "false_alarms": shares["sound"], "false_names": shares["others"],
+            "interval_coverage": shares["interval"], "scattered_false_alarms": shares["scatter"],
+            f"power_step_{size}_n": shares["step"], f"power_drift_{size}_n": shares["drift"],
+            "power_at_detectable": shares["detectable"],
+            "courses": case.courses, "step_at_right_session": counts["step"]["right"],
+            "step_undecided": counts["step"]["undecided"], "step_wrong": counts["step"]["wrong"],
+            "drift_right": counts["drift"]["right"], "drift_undecided": counts["drift"]["undecided"],
+            "drift_wrong": counts["drift"]["wrong"]}
 
 
 def real() -> dict[str, Any]:
@@ -98,7 +104,8 @@ def real() -> dict[str, Any]:
         parts = usual_names(model.parameters)
         for count in PARTS:
             sessions = [stored_information(model, [part]) for part in parts_of(log, count)]
-            p_values[f"{name}_{count}_parts_p"] = float(f"{session_scan(model, parts, sessions).p_value:.2g}")
+            found = session_comparison(model, parts, sessions, LEVEL)
+            p_values[f"{name}_{count}_parts_p"] = float(f"{found.p_value:.2g}")
     return p_values | {"runs_in_parts": len(p_values), "alarms_within_runs": sum(p < LEVEL for p in p_values.values())}
 
 

@@ -118,7 +118,7 @@ def main() -> None:
     for name in COMMANDS:  # so that the processes that are forked need not
         import_module(f"hydroopt.cli.{name.replace('-', '_')}")
     for module in ("hydroopt.solving", "hydroopt.codegen.folder", "hydroopt.report.page", "hydroopt.report.study",
-                   "hydroopt.estimation.dynamic.change", "hydroopt.control.comparison"):
+                   "hydroopt.estimation.dynamic.session_comparison", "hydroopt.control.comparison"):
         import_module(module)
     rng = np.random.default_rng(options.seed)
     figures = {(name, number): Counter[str]() for name in names for number in SIGNALS}

@@ -117,8 +117,8 @@ def _poses(machine: str) -> Answer:
 
 
 def _changes() -> Answer:
-    found = ho.detect_changes("cat215b", [log("cat215b", seed) for seed in (1, 2, 3)])
-    return {"value": [row.p_value for row in found.histories], "std": [1.0] * len(found.histories),
+    found = ho.compare("cat215b", [log("cat215b", seed) for seed in (1, 2, 3)])
+    return {"value": [row.p_value for row in found.differences], "std": [1.0] * len(found.differences),
             "status": found.status}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fixtures.tiers import machines
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.change import named_parts
+from hydroopt.estimation.dynamic.session_comparison import named_parts
 from hydroopt.excitation.criteria import design_parameters, presumed_noise
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind

@@ -83,11 +83,11 @@ def what_next() -> Answer:
 
 
 def change() -> Answer:
-    return ho.detect_change(LIFT, [log(1)], [log(2)])
+    return ho.compare(LIFT, [log(1), log(2)])
 
 
 def history() -> Answer:
-    return ho.detect_changes(LIFT, [log(seed) for seed in range(4)])
+    return ho.compare(LIFT, [log(seed) for seed in range(4)])
 
 
 def payload() -> Answer:
@@ -126,10 +126,10 @@ SOLVED: dict[str, tuple[Callable[[], Answer], ...]] = {
     "Estimate": (identification, ridge), "CombinedEstimate": (combined,), "Calibration": (calibration,),
     "SensorCalibration": (sensors,), "HydraulicEstimate": (valves,), "Excitation": (excitation,),
     "PosePlan": (pose_plan,), "MeasureUpPlan": (measure_up,), "CalibratorDesign": (calibrator,),
-    "WhatNext": (what_next,), "Change": (change,), "ChangeHistory": (history,), "Payload": (payload,),
+    "WhatNext": (what_next,), "SessionComparison": (change, history), "Payload": (payload,),
     "Weighing": (weighing,), "Comparison": (comparison,), "LogCheck": (log_check,), "MotionCheck": (motion_check,),
     "PostureCheck": (posture_check,)}
-LONG = (calibration, calibrator, change, combined, comparison, excitation, measure_up, sensors, weighing,
+LONG = (calibration, calibrator, combined, comparison, excitation, measure_up, sensors, weighing,
         what_next)
 
 

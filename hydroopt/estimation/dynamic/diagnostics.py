@@ -173,8 +173,8 @@ def _repeats(found: Identification) -> Iterator[Diagnostic]:
         if half.p_value < STEADY:
             yield Diagnostic(Kind.SPLIT_HALF, (data.log.path or data.log.name,), {
                 "phi": half.phi, "rank": half.rank, "p_value": half.p_value, "probability": probability(half.p_value)})
-    if weighted.between_logs > 0:
-        yield Diagnostic(Kind.DIFFERENT_LOGS, (), {"part": weighted.between_logs})
+    if weighted.between_logs.p_value < STEADY:
+        yield Diagnostic(Kind.DIFFERENT_LOGS, (), {"part": weighted.between_logs.std})
 
 
 def _prior_conflict(found: Identification) -> Iterator[Diagnostic]:

@@ -183,7 +183,7 @@ class Estimate(Identification, Answer):
             "split_half": [{"log": data.log.path or data.log.name, **half.as_dict()} for data, half in zip(
                 self.problem.experiments, self.weighted_residuals.split_half, strict=True)],
             "prior_test": self._prior_test(),
-            "between_logs": number(self.weighted_residuals.between_logs),
+            "between_logs": number(self.weighted_residuals.between_logs.std),
             **self._stated(), "active_constraints": list(self.active),
             "intervals": str(self.intervals), "notes": list(self.notes),
             "seed": self.seed, "test_of_fit": None if self.misfit is None else self.misfit.as_dict(),

@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.dynamic.comparison import (
+from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
+from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
+from hydroopt.estimation.dynamic.training_logs import explained
+from hydroopt.estimation.dynamic.two_session_problem import (
     TwoSessionOptimum,
     TwoSessionProblem,
     Wald,
@@ -22,10 +26,7 @@ from hydroopt.estimation.dynamic.comparison import (
     solve_both,
     wald,
 )
-from hydroopt.estimation.dynamic.session_answer import Quantity, rounded
-from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
-from hydroopt.estimation.dynamic.training_logs import explained
-from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
+from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine, machine_of
@@ -47,15 +48,23 @@ from hydroopt.spatial.inertia import Array
 
 LOAD = "load"
 """Owner of the load's parameters."""
+METHOD = "joint least squares"
+"""One least squares over both sessions, with an F test."""
 NO_LOAD = 0.05
 """p-value of no load above which no load is detected."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Payload(TwoSessionAnswer):
+class Payload(SessionAnswer):
     """A load, in the frame P_i of the link that carries it; `payload` returns it.
 
     Attributes:
+        machine: of both sessions.
+        statistic, rank, degrees_of_freedom, p_value: of the joint test of no load: F with `rank` (identifiable
+            directions) and `degrees_of_freedom`.
+        before, after: the sessions without and with the load.
+        posterior: samples of all unknowns; None where bounds leave no interior.
+        notes: how it was computed, in sentences.
         link: that carries it.
         mass: [kg].
         com: the three coordinates of its centre of mass [m].
@@ -68,6 +77,15 @@ class Payload(TwoSessionAnswer):
         See `payload`.
     """
 
+    machine: Machine
+    statistic: float
+    rank: int
+    degrees_of_freedom: float
+    p_value: float
+    before: StoredInformation
+    after: StoredInformation
+    posterior: Posterior | None
+    notes: tuple[str, ...]
     link: str
     mass: Quantity
     com: tuple[Quantity, ...]
@@ -76,7 +94,21 @@ class Payload(TwoSessionAnswer):
     friction: tuple[Quantity, ...]
     gains: tuple[Quantity, ...]
     job = Job.PAYLOAD
-    roles = ("unloaded", "loaded")
+
+    @property
+    def method(self) -> str:
+        """One least squares over both sessions, with an F test."""
+        return METHOD
+
+    @property
+    def sessions(self) -> dict[str, StoredInformation]:
+        """Both sessions by role."""
+        return {"unloaded": self.before, "loaded": self.after}
+
+    @property
+    def p_value_repeat(self) -> float:
+        """p-value of the statistic over φ: whether the sessions differ more than the halves of their own logs do."""
+        return float(stats.f.sf(self.statistic / self.split_half, self.rank, self.degrees_of_freedom))
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -108,7 +140,9 @@ class Payload(TwoSessionAnswer):
         if not self.mass.identifiable:
             partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
         scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
-        return (*self.of_logs, *self.of_sampling(requested=True), *partly, *scale)
+        sampling = () if self.posterior is not None and self.posterior.converged else (
+            Diagnostic(Kind.NO_INTERIOR if self.posterior is None else Kind.SAMPLING_NOT_CONVERGED),)
+        return (*self.of_logs, *sampling, *partly, *scale)
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -145,7 +179,11 @@ class Payload(TwoSessionAnswer):
         return {"link": self.link,
                 "quantities": [one.as_dict() for one in (self.mass, *self.com, *self.moment)],
                 "phi": self.phi.tolist(), "friction": [one.as_dict() for one in self.friction],
-                "gains": [one.as_dict() for one in self.gains], **super().details()}
+                "gains": [one.as_dict() for one in self.gains],
+                "test": {"statistic": self.statistic, "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
+                         "p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
+                         "steady": self.steady},
+                "weights": self.weights, "notes": list(self.notes)}
 
     def files(self) -> Mapping[str, str]:
         """All quantities as CSV."""

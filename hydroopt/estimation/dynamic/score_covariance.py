@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
 from hydroopt.estimation.dynamic.holds import HoldEquations
@@ -25,18 +23,16 @@ from hydroopt.estimation.inference.band_variances import (
 )
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, ROUNDING_TOLERANCE
 from hydroopt.estimation.inference.least_squares import orthonormal, without
+from hydroopt.estimation.inference.mixed_model import UNEQUAL, projected, variance_components
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
+ALIKE = 0.95
+"""Probability of no differences between logs above which there are none: intervals of sound logs stay narrow, and logs
+without noise exact."""
 STEADY = 0.01
 """p-value of no difference between the halves of a log below which its friction is not the same in both."""
-BETWEEN = (-16.0, 4.0)
-"""Range of the logarithm of the variance between logs, relative to the friction force."""
-LEAST_PART = 1e-12
-"""Part of the largest variance that every direction has, so that logs without noise can be computed."""
-ROUNDS = 3
-"""Times that the variances of all kinds are estimated in turn."""
 
 
 class PriorProblem(Protocol):
@@ -72,6 +68,14 @@ class SplitHalf:
                 "p_value": number(self.p_value)}
 
 
+class BetweenLogs(NamedTuple):
+    """Differences of friction and offsets from log to log: standard deviation relative to the friction force, and the
+    p-value of none; NaN for a single log."""
+
+    std: float
+    p_value: float
+
+
 @dataclass(frozen=True, eq=False)
 class ScoreCovariance:
     """The information of each actuator, and what it rests on; see `WeightedResiduals`.
@@ -82,7 +86,7 @@ class ScoreCovariance:
 
     scores: tuple[ScoreRows, ...]
     correlation_time: Array
-    between_logs: float
+    between_logs: BetweenLogs
     split_half: tuple[SplitHalf, ...]
     holds: tuple[Array, ...]
 
@@ -164,7 +168,7 @@ def score_covariance(motion: InMotion, holds: Sequence[HoldEquations]) -> ScoreC
     found = motion.beside(at_rest, np.array([one.initial_std for one in holds]),
                           np.array([one.least for one in holds]))
     spectra, between_holds = found[: len(channels)], found[len(channels):]
-    between_logs: float = np.nan
+    between_logs = BetweenLogs(np.nan, np.nan)
     shared: list[list[Shared]] = [[] for _ in channels]
     if len(motion.logs) > 1:
         between_logs, shared = _between(motion.logs, channels, spectra, motion.parameters, motion.prior)
@@ -228,23 +232,19 @@ class _OwnFriction:
     right: Array
     products: tuple[Array, ...]
 
-    def of_kind(self, kind: ParameterKind) -> NDArray[np.bool_]:
-        """Which columns (f,) are of a kind."""
-        return np.array([one is kind for one in self.kinds])
-
-    def part(self, kind: ParameterKind) -> Array:
-        """Covariance (m, m) of the right-hand side for a variance of 1 of one kind."""
-        some = self.columns[:, np.tile(self.of_kind(kind), len(self.products))]
-        return np.asarray(some @ some.T)
+    def of_kind(self, kind: ParameterKind) -> Array:
+        """The columns (m, ·) of one kind."""
+        return self.columns[:, np.tile([one is kind for one in self.kinds], len(self.products))]
 
 
 def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra: Sequence[Spectrum],
-             parameters: ParameterSet, prior: tuple[Array, Array]) -> tuple[float, list[list[Shared]]]:
+             parameters: ParameterSet, prior: tuple[Array, Array]) -> tuple[BetweenLogs, list[list[Shared]]]:
     """Friction and offsets that differ from log to log: their standard deviation and what they add to each score.
 
     In each log, every friction and offset column of an actuator is off by a random amount whose RMS force is κ times
-    that of the actuator's friction; restricted maximum likelihood over all logs and actuators gives κ of each kind of
-    parameter. The least squares are those of one machine, whose mean friction they estimate.
+    that of the actuator's friction; all logs and actuators together give κ of each kind of parameter
+    (`hydroopt.estimation.inference.mixed_model`). The least squares are those of one machine, whose mean friction they
+    estimate.
     """
     scale = parameters.scale
     scores = [score_rows(channel, spectrum, scale) for channel, spectrum in zip(channels, spectra, strict=True)]
@@ -256,32 +256,16 @@ def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra
     own = {i: found for i, (channel, spectrum) in enumerate(zip(channels, spectra, strict=True))
            if (found := _own_friction(i, logs, channel, spectrum, parameters, friction)) is not None}
     kinds = list(dict.fromkeys(kind for one in own.values() for kind in one.kinds))
-    parts = {(i, kind): one.part(kind) for i, one in own.items() for kind in kinds}
-    variance = dict.fromkeys(kinds, 0.0)
-
-    def covariance(i: int) -> Array:
-        apart = np.asarray(sum(variance[kind] * parts[i, kind] for kind in kinds))
-        return np.asarray(apart + np.eye(len(apart)) * (1 + LEAST_PART * np.trace(apart)))
-
-    def deviance(kind: ParameterKind, log_variance: float) -> float:
-        variance[kind], total = float(np.exp(log_variance)), 0.0
-        for i, one in own.items():
-            V = covariance(i)
-            total += float(np.linalg.slogdet(V)[1] + one.right @ np.linalg.solve(V, one.right))
-        return total
-
-    for _ in range(ROUNDS):
-        for kind in kinds:
-            best = minimize_scalar(partial(deviance, kind), bounds=BETWEEN, method="bounded")
-            none = deviance(kind, -np.inf)
-            variance[kind] = float(np.exp(best.x)) if best.fun < none else 0.0
-    for kind in (kind for kind in kinds if variance[kind] > 0):
-        shares = [variance[kind] * np.linalg.solve(covariance(i), parts[i, kind]) for i in own]
-        freedom = float(sum(np.sum(share * share.T) for share in shares))
-        for i, one in own.items():
-            directions = tuple(product[:, one.of_kind(kind)] for product in one.products)
-            shared[i].append(Shared(directions, variance[kind], freedom))
-    return float(np.sqrt(sum(variance.values()))), shared
+    if not kinds:
+        return BetweenLogs(0.0, 1.0), shared
+    apart = variance_components([(one.right, [one.of_kind(kind) for kind in kinds]) for one in own.values()])
+    if apart.none > ALIKE:
+        return BetweenLogs(0.0, apart.p_value), shared
+    for i, one in own.items():
+        for kind, variance, freedom in zip(kinds, apart.variance, apart.freedom, strict=True):
+            directions = tuple(product[:, [each is kind for each in one.kinds]] for product in one.products)
+            shared[i].append(Shared(directions, float(variance), max(float(freedom), UNEQUAL)))
+    return BetweenLogs(float(np.sqrt(np.sum(apart.variance))), apart.p_value), shared
 
 
 def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spectrum: Spectrum,
@@ -302,12 +286,9 @@ def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spect
     first = np.cumsum([0, *(len(one.rows) for one in each)]).tolist()
     for k, one in enumerate(each):
         Z[first[k] : first[k + 1], k * len(at) : (k + 1) * len(at)] = one.rows[:, channel.columns[at]] * (force / size)
-    basis = orthonormal(X * scale[channel.columns])
-    left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
-    left = left[:, singular > ROUNDING_TOLERANCE * singular[0]]
-    right = left.T @ without(basis, np.concatenate([one.right for one in each]))
+    found = projected(X * scale[channel.columns], Z, np.concatenate([one.right for one in each]), np.ones(Z.shape[1]))
     grams = [one.stacked[:, :-1] for one in own]
-    return _OwnFriction(tuple(parameters.kinds[k] for k in channel.columns[at]), left.T @ without(basis, Z), right,
+    return _OwnFriction(tuple(parameters.kinds[k] for k in channel.columns[at]), found.effects, found.sums,
                         tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams))
 
 

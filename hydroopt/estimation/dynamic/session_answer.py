@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,6 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterRow, row
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class SessionAnswer(Answer):
 
     @property
     def steady(self) -> bool:
-        """Whether friction and offsets are the same in the halves of each log; else `p_value_repeat` decides."""
+        """Whether friction and offsets are the same in the halves of each log; else changes are held against φ."""
         return all(session.steady for session in self.sessions.values())
 
     @property
@@ -90,28 +89,6 @@ class SessionAnswer(Answer):
     def weights(self) -> dict[str, dict[str, dict[str, float]]]:
         """σ, τ and number of residuals of each actuator, by role and name."""
         return {role: session.weights(self.machine) for role, session in self.sessions.items()}
-
-
-def decidable(quantity: Quantity, detectable: float) -> Use:
-    """Whether sessions decide on the change of a parameter: from which change on they show it."""
-    if not quantity.identifiable or not np.isfinite(detectable):
-        return Use(Purpose.CHANGES, quantity.name, Usable.NO, reason="the logs do not show its change by itself")
-    return Use(Purpose.CHANGES, quantity.name, Usable.YES, detectable, quantity.unit,
-               condition="the change that shows with a probability of 95 %")
-
-
-def session_steps(changed: Sequence[str], uses: Sequence[Use]) -> tuple[NextStep, ...]:
-    """What to check where something changed, and what to drive where nothing could show."""
-    hidden = [use.subject for use in uses if use.usable is Usable.NO]
-    steps = []
-    if changed:
-        steps.append(NextStep(Action.CHECK, (
-            f"Check {', '.join(changed[:3])} on the machine: pins, seals, sensors' zeros.")))
-    if hidden:
-        steps.append(NextStep(Action.DRIVE, (
-            f"To see a change of {hidden[0]}, drive a motion that reverses and varies its speed, the same in all "
-            "sessions.")))
-    return tuple(steps)
 
 
 def rounded(value: float, std: float) -> str:

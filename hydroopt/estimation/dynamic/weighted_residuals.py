@@ -28,7 +28,7 @@ from hydroopt.estimation.dynamic.residual_std import (
     rms_force,
     smallest,
 )
-from hydroopt.estimation.dynamic.score_covariance import InMotion, SplitHalf, score_covariance
+from hydroopt.estimation.dynamic.score_covariance import BetweenLogs, InMotion, SplitHalf, score_covariance
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
@@ -106,8 +106,7 @@ class WeightedResiduals(Generic[Problem]):
         sigma: (n,) standard deviation of each actuator's residual.
         correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless requested.
         correlation_time: (n,) variance of the residuals where the parameters act over σ², at least 1; in samples.
-        between_logs: standard deviation of friction and offsets from log to log, relative to the friction force; NaN
-            for a single log.
+        between_logs: how much friction and offsets differ from log to log.
         split_half: how much friction and offsets differ between the halves of each log.
         holds: rows (·, p+1) of [K, f] of each actuator at rest (`hydroopt.estimation.dynamic.holds`), whose errors have
             unit variance.
@@ -128,7 +127,7 @@ class WeightedResiduals(Generic[Problem]):
     sigma: Array
     correlation: Array
     correlation_time: Array
-    between_logs: float
+    between_logs: BetweenLogs
     split_half: tuple[SplitHalf, ...]
     holds: tuple[Array, ...]
     stated_friction: tuple[str, ...] = ()

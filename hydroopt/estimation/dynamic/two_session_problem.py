@@ -1,19 +1,17 @@
-"""Two sessions in one least squares: all parameters are shared except those that may have changed in between.
+"""Two sessions in one constrained least squares: all parameters are shared except what the second session adds.
 
 Before: f = K·ψ; after: f = K·ψ + K_c·δ. The first session and the machine file's priors determine ψ, and the
-residuals of the second the change; both share every error of a wrong nominal model.
+residuals of the second what was added; both share every error of a wrong nominal model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import stats
 
 from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.folding import split, triangle
@@ -21,13 +19,10 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
-from hydroopt.estimation.inference.band_variances import FTest, combined, f_test, students
+from hydroopt.estimation.inference.band_variances import f_test, students
 from hydroopt.estimation.inference.conditions import ScaledBody
-from hydroopt.estimation.inference.constraints import Constraint, Named
-from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
-from hydroopt.estimation.inference.least_squares import orthonormal, without
+from hydroopt.estimation.inference.mixed_model import projected
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
@@ -137,70 +132,33 @@ def second_parameters(parameters: ParameterSet, places: Sequence[int]) -> Parame
                         parameters.upper[at], parameters.scale[at], np.zeros((len(at), len(at))))
 
 
-def two_session_problem(model: Model, names: Sequence[str]) -> TwoSessionProblem:
-    """The problem in which parameters of these names may have changed between two sessions."""
-    parameters, p = model.parameters, len(model.parameters)
-    twice = doubled(parameters, names)
-    chosen, copies = np.eye(p)[twice], [parameters.names[k] for k in twice]
-    positions = [p + copies.index(name) for name in names]
-    tied = tuple(Constraint(f"{name} unchanged", partial(_unchanged, name)) for name in copies if name not in names)
-    return TwoSessionProblem(model, (), constraints=tied,
-                      unknowns=joined(parameters, second_parameters(parameters, twice)),
-                      second=np.hstack([np.eye(p) - chosen.T @ chosen, chosen.T]),
-                      null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, positions],
-                      labels=tuple(names))
-
-
-def _unchanged(name: str, x: Named) -> Any:
-    return x[AFTER + name] == x[name]
-
-
 def folded(A: Array, b: Array) -> tuple[Array, Array]:
     """R (P, P) and r (P,) of ``‖R·x − r‖² = ‖A·x − b‖²`` without the part that no x changes."""
     return split(triangle(np.column_stack([A, b])))[:2]
 
 
 class Wald(NamedTuple):
-    """Least squares and test of a change δ (c,), without bounds and physical consistency.
+    """Least squares and test of what was added, δ (c,), without bounds and physical consistency.
 
     Attributes:
         value, std: (c,) NaN where δ is not identifiable.
-        statistic, rank, freedom, p_value: F, Hotelling's test with k = `rank` identifiable directions of δ,
-            W the Wald statistic of δ = 0 in them, and `freedom` of its denominator.
-        freedoms: (c,) degrees of freedom of each δ's own standard deviation.
-        partners: for each δ that is not identifiable, the positions of those it cannot be separated from.
-        alone: value, standard deviation, and p-value of what is left over (c,), if this δ were the only one.
+        statistic, rank, freedom, p_value: F, Hotelling's test with k = `rank` identifiable directions of δ, and
+            `freedom` of its denominator.
     """
 
     value: Array
     std: Array
-    freedoms: Array
     statistic: float
     rank: int
     freedom: float
     p_value: float
-    partners: tuple[tuple[int, ...], ...]
-    alone: tuple[Array, Array, Array]
-
-    def over(self, phi: float) -> Wald:
-        """The same test where squared differences are φ times what the variances of the rows explain."""
-        value, std, left = self.alone
-        count = max(self.rank - 1, 1)
-        left = stats.f.sf(stats.f.isf(left, count, self.freedom) / phi, count, self.freedom)
-        return self._replace(std=self.std * np.sqrt(phi), statistic=self.statistic / phi,
-                             p_value=float(stats.f.sf(self.statistic / phi, self.rank, self.freedom)),
-                             alone=(value, std * np.sqrt(phi), np.asarray(left)))
-
-    def single(self) -> Array:
-        """Two-sided p-value (c,) of each δ by itself, NaN where it is not identifiable."""
-        return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedoms))
 
 
 def wald(problem: TwoSessionProblem, A: Array, b: Array, freedom: Array) -> Wald:
-    """Test whether anything has changed, on the directions of δ that data and priors determine.
+    """Test whether anything was added, on the directions of δ that data and priors determine.
 
     Args:
-        problem: what may have changed, and the priors.
+        problem: what may have been added, and the priors.
         A, b: rows of both sessions.
         freedom: (rows,) degrees of freedom with which the rows' variances were estimated.
 
@@ -212,47 +170,15 @@ def wald(problem: TwoSessionProblem, A: Array, b: Array, freedom: Array) -> Wald
     rows = np.vstack([A, prior])
     # the nominal machine, unchanged; gains, which come after ψ in the basis, are nominally zero
     rest = np.concatenate([b, right]) - rows @ (problem.null[:, :p] @ problem.unknowns.nominal[:p])
-    U = orthonormal(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)))
-    moved = A @ problem.change
-    size = np.linalg.norm(moved, axis=0)
-    effect = size * (scale @ np.abs(problem.change))
-    touched = np.flatnonzero(effect > 1e-12 * np.max(effect, initial=0.0))
-    C = np.vstack([moved, np.zeros((len(prior), moved.shape[1]))])[:, touched] / size[touched]
-    C, rest = without(U, C), without(U, rest)
-    left, s, axes = np.linalg.svd(C, full_matrices=False)
-    identified = s > RANK_TOLERANCE
-    k = int(np.sum(identified))
-    if not k:
+    moved = np.vstack([A @ problem.change, np.zeros((len(prior), problem.change.shape[1]))])
+    found = projected(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)), moved, rest,
+                      scale @ np.abs(problem.change))
+    if not len(found.sums):
         raise IdentifiabilityError("these logs do not identify a change of these parameters", where=problem.where,
                                    remedy="drive longer motions that excite them, in both sessions")
-    left, along = left[:, identified], left[:, identified].T @ rest
     freedom = np.append(freedom, np.full(len(prior), np.inf))
-    value, std, own = (np.full(len(size), np.nan) for _ in range(3))
-    root = axes[identified].T / s[identified] / size[touched][:, None]
-    hidden = axes[~identified].T @ axes[~identified]
-    alone = np.abs(hidden).max(axis=1, initial=0.0) < 1e-6
-    value[touched[alone]] = (root @ along)[alone]
-    std[touched[alone]] = np.sqrt(np.sum(root**2, axis=1))[alone]
-    own[touched[alone]] = combined((left @ root[alone].T / std[touched[alone]]) ** 2, freedom)
-    partners: list[tuple[int, ...]] = [()] * len(size)
-    for i in np.flatnonzero(~alone):
-        partners[touched[i]] = tuple(int(touched[j]) for j in np.flatnonzero(np.abs(hidden[i]) > 1e-3) if j != i)
-    test = f_test(along, left**2, freedom)
-    return Wald(value, std, own, *test, tuple(partners),
-                _one_by_one(C, rest, float(along @ along), test, touched, size))
-
-
-def _one_by_one(C: Array, rest: Array, whole: float, test: FTest, touched: NDArray[np.intp],
-                size: Array) -> tuple[Array, Array, Array]:
-    """Least squares on each column of C (rows, ·) by itself, and how much of the Wald statistic it leaves."""
-    value, std, p = (np.full(len(size), np.nan) for _ in range(3))
-    length = np.linalg.norm(C, axis=0)
-    own = np.flatnonzero(length > RANK_TOLERANCE)
-    at, share = touched[own], (C[:, own].T @ rest) / length[own]
-    value[at], std[at] = share / length[own] / size[at], 1 / length[own] / size[at]
-    left = np.maximum(1 - share**2 / max(whole, 1e-300), 0.0) * test.statistic * test.rank / max(test.rank - 1, 1)
-    p[at] = stats.f.sf(left, test.rank - 1, test.freedom) if test.rank > 1 else 1.0
-    return value, std, p
+    return Wald(found.solution @ found.sums, np.linalg.norm(found.solution, axis=1),
+                *f_test(found.sums, found.left**2, freedom))
 
 
 @dataclass(frozen=True, eq=False)
