@@ -25,7 +25,7 @@ from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.kernels.shared_library import ADDRESS, COUNT, built, routine
 from hydroopt.spatial.inertia import Array
 
-FEW = 100
+FEW = 256
 """Number of samples below which compiling a kernel does not pay."""
 SHARE = 4096
 """Number of samples per thread."""

@@ -235,6 +235,7 @@ def test_structured_text_has_the_layout_of_c(subject: str, real: str, folders: F
     assert said == [layout(members) for members in told.values()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("subject", "real"), tiered(
     PAIRS, lambda subject, real: (subject, real) == ("patu655_lift", "double")))
 def test_structured_text_is_parsed(subject: str, real: str, folders: Folders) -> None:

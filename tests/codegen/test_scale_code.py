@@ -215,6 +215,7 @@ def test_it_shows_what_python_shows(machine: str, real: str, run: Callable[..., 
 SWAPS = {"swapped": "boom_cylinder.p_head", "bars": "boom_cylinder.p_head", "sign": "stick.q", "units": "boom.q"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", SWAPS)
 def test_wrong_readings_never_count_as_weights(fault: str, run: Callable[..., Shown]) -> None:
     _, log = subject("cat215b")

@@ -65,6 +65,7 @@ def test_fast_loops_yield_to_one_that_finds_no_gains_beside_them() -> None:
         assert growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each))) < 0
 
 
+@pytest.mark.slow
 def test_robustness_yields_a_little_where_slower_loops_do_not_help() -> None:
     valves, points, plants = manipulator({"light": ([1.35, -0.445, 0.212], [0.27, 0.247, -0.217]),
                                           "slow": ([1.309, -1.6, 0.164], [-0.035, -0.044, -0.03]),

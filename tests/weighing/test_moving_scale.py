@@ -169,6 +169,7 @@ def test_a_likely_change_below_the_threshold_shows_no_weight() -> None:
     assert outcomes(CAT, (case,), range(71018, 71019))[case.name][0].wrong < 5
 
 
+@pytest.mark.slow
 def test_a_light_load_that_rises_slowly_is_found() -> None:
     """A jump between two smoothed samples, which no smoothed force makes, explained 25 of its 132 kg, and it was never
     found."""

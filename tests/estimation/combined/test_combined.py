@@ -217,6 +217,7 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
     assert np.max(0.05 / 2 * np.abs(rise - fall) / (rise + fall)) < 2e-3  # standard deviations
 
 
+@pytest.mark.slow
 def test_without_doubt_about_the_geometry_bodies_are_those_of_a_fitted_motion(machine: Machine, model: Model,
                                                                               noisy: Log) -> None:
     sure = machine.model_copy(update={"notes": {

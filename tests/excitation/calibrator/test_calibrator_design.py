@@ -70,6 +70,7 @@ def gap(machine: Machine, numbers: dict[str, float], angles: np.ndarray) -> np.n
     return pose[:3, 3] - [numbers[f"ball.{axis}"] for axis in "xyz"]
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_the_numerical_jacobian_of_the_assembled_chain() -> None:
     """Unknowns: all parameters, and in each pose each angle; gaps vanish to a micrometre, sensed angles are read."""
     done, tight, step = design(), 1e-6, 1e-6
