@@ -1,5 +1,6 @@
 """What all tests share: the same values every time, docstrings in an empty folder, and tools that a test may need."""
 
+import os
 import signal
 import threading
 
@@ -11,6 +12,7 @@ from fixtures.tools import Tool
 if threading.current_thread() is threading.main_thread():  # a shell lets what it starts in the background ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+os.environ.setdefault("CC", "cc -O0")  # to optimise kernels takes longer than the tests use them
 hypothesis.settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("reproducible")
 

@@ -229,8 +229,8 @@ def _built(sources: Mapping[str, str], compiled: Sequence[str]) -> bytes | None:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         try:
-            subprocess.run([*found.command, *FLAGS, "-o", "built", *compiled, "-lm"], cwd=folder, check=True,
-                           capture_output=True)
+            subprocess.run([*found.command, *FLAGS, *found.options, "-o", "built", *compiled, "-lm"], cwd=folder,
+                           check=True, capture_output=True)
         except (OSError, subprocess.SubprocessError) as error:
             notice(f"the FMU cannot be compiled ({reason(error)})", "it contains its sources alone")
             return None

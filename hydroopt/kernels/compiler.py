@@ -49,12 +49,13 @@ PROBING, COMPILING = 10.0, 120.0
 
 @dataclass
 class Compiler:
-    """The system's compiler: its command, and what it says of itself and of the processor it compiles for.
+    """The system's compiler: its command and options, and what it says of itself and of the processor it compiles for.
 
     `hangs` is set when it has exceeded its time limit: it is not called again.
     """
 
     command: tuple[str, ...]
+    options: tuple[str, ...]
     macros: bytes
     hangs: bool = False
 
@@ -78,7 +79,7 @@ class Compiler:
         """
         built = folder / "kernel.so"
         level = ("-O0",) if len(source) > LONGEST else ()  # the last level counts
-        command = (*self.command, *FLAGS, *level, "-x", "c", "-", "-o", str(built), *self.libraries)
+        command = (*self.command, *FLAGS, *self.options, *level, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:
             _run(command, source.encode(), COMPILING, folder)
         except subprocess.TimeoutExpired:
@@ -89,13 +90,18 @@ class Compiler:
 
 @cache
 def compiler() -> Compiler | None:
-    """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
+    """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works.
+
+    Options that ``$CC`` states beside the command come last, so that they count.
+    """
     for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         try:
-            program, *options = shlex.split(stated) or [stated]
-            command = (os.path.abspath(program) if os.path.dirname(program) else program, *options)
-            macros = _run((*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"), b"#include <math.h>\n", PROBING)
-            return Compiler(command, macros)
+            program, *words = shlex.split(stated) or [stated]
+            own = next((k for k, word in enumerate(words) if word.startswith("-")), len(words))
+            command = (os.path.abspath(program) if os.path.dirname(program) else program, *words[:own])
+            options = tuple(words[own:])
+            asked = (*command, *FLAGS[:2], *options, "-dM", "-E", "-x", "c", "-")
+            return Compiler(command, options, _run(asked, b"#include <math.h>\n", PROBING))
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             if stated == os.environ.get("CC"):
                 notice(f"CC={stated!a:.100} cannot be used ({reason(error)})", "the system's compiler is used")

@@ -48,7 +48,7 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> c
     """
     key = hashlib.sha256()
     how = Path(__file__).with_name("compiler.py").read_bytes()
-    for part in (*content, how, " ".join((*by.command, *FLAGS)).encode(), by.macros):
+    for part in (*content, how, " ".join((*by.command, *FLAGS, *by.options)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
 
     def compiled(place: Path) -> Path:

@@ -242,6 +242,7 @@ rod = { link = "boom", pin = ["0.3 m", "-0.1 m", "0 m"] }
 """
 
 
+@pytest.mark.slow
 def test_passive_joints_hide_no_mistake() -> None:
     """Nothing is read at a hinge that swings: what is left there is no contradiction, and refutes no other reading."""
     model = Model(read_machine(PENDULUM))

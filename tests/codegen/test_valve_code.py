@@ -66,6 +66,7 @@ def test_c_says_what_the_model_says(plant: Plant, real: str, tmp_path) -> None:
     assert_allclose(results["force"], force, rtol=0, atol=tolerance * np.abs(force).max())
 
 
+@pytest.mark.slow
 def test_forces_of_the_plant_change_as_demanded(plant: Plant, tmp_path) -> None:
     """With the spools where the commands want them, A_a·p_a' − A_b·p_b' of the plant is what was asked for."""
     library = Library(subject(plant.machine.name, "double", "valve_feedforward"), tmp_path / "c", "-O1")

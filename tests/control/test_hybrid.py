@@ -77,6 +77,7 @@ def test_the_force_in_the_pressures_is_found() -> None:
     assert one.estimated_force(2, reading) == pytest.approx(FORCE, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_tip_comes_to_the_wall_wherever_it_is_and_presses() -> None:
     """Without errors of model and sensors the demanded force comes about, with a floor 1 or 4 cm below the tip."""
     motion, psi = pulling(), MODEL.parameters.nominal

@@ -90,6 +90,7 @@ def test_draws_drive_two_valves_of_a_joint_together(asked: Setting) -> None:
         draws(asked, 1)
 
 
+@pytest.mark.slow
 def test_controllers_are_tuned_compared_and_reported(asked: Setting) -> None:
     shared = compare(asked, [asked.true._replace(name=COMPLETE)], [FEEDFORWARD, LQG])
     assert list(shared.parameters) == ["boom.position_gain", "boom_left.force_gain", "boom_right.force_gain",

@@ -27,7 +27,7 @@ from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
-from hydroopt.estimation.inference.truncated import TAIL, Marginal, TruncatedGaussian
+from hydroopt.estimation.inference.truncated import Marginal, TruncatedGaussian, of_samples
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial.inertia import Array
 
@@ -43,6 +43,8 @@ standard deviations and their places correlate by less than this, in every coord
 warm-ups. Slow chains, those of slender bodies with widely uncertain centres of mass, need some of them."""
 WIDER = 1.2
 """Width of the Gaussian that stands in, over that of the chains: one that is too narrow never leaves their tails."""
+COARSE = 0.03
+"""Standard error of a width, as a part of it, from which on it is stated."""
 NEARER = 0.8
 """Factor by which a chain's first place moves towards the centre until it is possible."""
 
@@ -58,9 +60,8 @@ class Drawn:
     def marginal(self, rows: Array) -> Marginal:
         """Distributions of linear sums (k, p) of the parameters."""
         if self.truncated is not None:
-            return self.truncated[0].marginal(self.samples, self.truncated[1], rows)
-        values = self.samples @ rows.T
-        return Marginal(values.mean(axis=0), values.std(axis=0), np.quantile(values, [TAIL, 1 - TAIL], axis=0).T)
+            return self.truncated[0].marginal(self.samples, self.truncated[1], rows, CHAINS)
+        return of_samples(rows @ self.samples.T, CHAINS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class Posterior:
         at = np.argmax(rows[alone], axis=1)
         std, interval = np.empty(len(rows)), np.empty((len(rows), 2))
         std[alone], interval[alone] = self.own.std[at], self.own.interval[at]
-        _, std[~alone], interval[~alone] = self.drawn.marginal(rows[~alone])
+        _, std[~alone], interval[~alone], _ = self.drawn.marginal(rows[~alone])
         return std, interval
 
 
@@ -144,7 +145,9 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     own = drawn.marginal(np.eye(samples.shape[1]))
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
-            "elliptical slice sampling" + ("" if settled else ", which did not converge"))
+            "elliptical slice sampling" + (f"; standard errors of their widths up to {100 * error:.2g} %"
+                                           if (error := float(np.max(own.error, initial=0.0))) > COARSE else "")
+            + ("" if settled else ", which did not converge"))
     # not the more exact means one by one: each has its own error, and sums are known far better than parts
     possible = chains.inequalities.possible(np.mean(states, axis=(0, 2)))
     return Posterior(drawn, own, samples.mean(axis=0) if possible else None, note, settled)

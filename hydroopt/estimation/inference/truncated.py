@@ -35,11 +35,13 @@ SIGNS = (-1.0) ** PAIRS.sum(axis=1)
 
 
 class Marginal(NamedTuple):
-    """Mean and standard deviation (n,) and interval (n, 2) of sums."""
+    """Mean and standard deviation (n,) and interval (n, 2) of sums; `error` (n,) is the standard error of the standard
+    deviation, as a part of it, that a finite number of samples leaves."""
 
     mean: Array
     std: Array
     interval: Array
+    error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,30 +58,50 @@ class TruncatedGaussian:
     slope: Array
     matrices: int
 
-    def marginal(self, samples: Array, slack: Array, rows: Array) -> Marginal:
-        """Linear sums ``rows·ψ`` (n,) at samples ψ (s, p), where the functions are slack (m, s); by the samples'
-        own values of sums that do not vary, or are too far from the Gaussian.
+    def marginal(self, samples: Array, slack: Array, rows: Array, chains: int) -> Marginal:
+        """Linear sums ``rows·ψ`` (n,) at samples ψ (s, p) of so many chains in turn, where the functions are slack
+        (m, s); by the samples' own values of sums that do not vary, or are too far from the Gaussian.
         """
         values = rows @ samples.T
-        mean, std, interval = values.mean(axis=1), values.std(axis=1), np.empty((len(rows), 2))
+        mean, std, interval, error = of_samples(values, chains)
         axes, offset = rows @ self.gaussian.slope, rows @ self.gaussian.offset
         length = np.linalg.norm(axes, axis=1)
         sound = (length > 0) & (np.abs(mean - offset) <= FURTHEST * length)
-        interval[~sound] = np.quantile(values[~sound], [TAIL, 1 - TAIL], axis=1).T
         unit, size, offset = axes[sound] / length[sound, None], length[sound], offset[sound]
         at = (values[sound] - offset[:, None]) / size[:, None]
-        found = marginals(at, *chords(slack, unit @ self.slope.T, self.matrices))
-        mean[sound], std[sound] = offset + size * found.mean, size * found.std
+        found = marginals(at, *chords(slack, unit @ self.slope.T, self.matrices), chains)
+        mean[sound], std[sound], error[sound] = offset + size * found.mean, size * found.std, found.error
         interval[sound] = offset[:, None] + size[:, None] * found.interval
-        return Marginal(mean, std, interval)
+        return Marginal(mean, std, interval, error)
 
 
-def marginals(at: Array, down: Array, up: Array) -> Marginal:
+def of_samples(values: Array, chains: int) -> Marginal:
+    """Of values (n, s) of n sums at samples of so many chains in turn.
+
+    >>> of_samples(np.random.default_rng(0).standard_normal((1, 20000)), 100).error.round(3).tolist()  # 1/√(2·20000)
+    [0.005]
+    """
+    mean = values.mean(axis=1)
+    square = (values - mean[:, None]) ** 2
+    return Marginal(mean, np.sqrt(square.mean(axis=1)), np.quantile(values, [TAIL, 1 - TAIL], axis=1).T,
+                    _error(square, chains))
+
+
+def _error(squares: Array, chains: int) -> Array:
+    """The relative standard error (n,) of the root of the means of squares (n, s) of chains in turn, which are
+    independent of each other."""
+    means = squares.reshape(len(squares), squares.shape[1] // chains, chains).mean(axis=1)
+    variance = means.mean(axis=1)
+    return np.asarray(means.std(axis=1, ddof=1) / np.sqrt(chains) / 2 / np.where(variance > 0, variance, np.inf))
+
+
+def marginals(at: Array, down: Array, up: Array, chains: int) -> Marginal:
     """Means over samples of standard normal distributions that are cut off.
 
     Args:
         at: (n, s) values of n sums at the samples, of unit variance where nothing cuts them off.
         down: (n, s) how far they may be below; `up`: above.
+        chains: that drew the samples in turn.
     """
     # the tail at hand is that of small numbers, which are exact
     sign = np.where(at.mean(axis=1) > 0, -1.0, 1.0)[:, None]
@@ -90,8 +112,10 @@ def marginals(at: Array, down: Array, up: Array) -> Marginal:
     wide = (high - low > NARROW) & (share > 0)
     weight = 1 / np.where(wide, share, 1.0)
     middle = (low + high) / 2
-    mean = np.mean(np.where(wide, (first - last) * weight, middle), axis=1)
-    square = np.mean(np.where(wide, 1 + (low * first - high * last) * weight, middle**2), axis=1)
+    means = np.where(wide, (first - last) * weight, middle)
+    mean = means.mean(axis=1)
+    squares = np.where(wide, 1 + (low * first - high * last) * weight, middle**2) - 2 * mean[:, None] * means
+    variance = np.maximum(squares.mean(axis=1) + mean**2, 0.0)
 
     def distribution(x: Array) -> Array:
         """Its values (n,) at x (n,); of narrow chords steps."""
@@ -107,8 +131,8 @@ def marginals(at: Array, down: Array, up: Array) -> Marginal:
             less, more = np.where(over, less, half), np.where(over, half, more)
         ends = distribution(less), distribution(more)
         quantile[:] = less + (more - less) * np.clip((wanted - ends[0]) / np.maximum(ends[1] - ends[0], TAIL**9), 0, 1)
-    return Marginal(sign[:, 0] * mean, np.sqrt(np.maximum(square - mean**2, 0.0)),
-                    np.sort(sign * interval.T, axis=1))
+    return Marginal(sign[:, 0] * mean, np.sqrt(variance), np.sort(sign * interval.T, axis=1),
+                    _error(squares + mean[:, None] ** 2, chains))
 
 
 def chords(slack: Array, along: Array, matrices: int) -> tuple[Array, Array]:

@@ -66,6 +66,7 @@ def test_the_band_is_the_covariance_of_what_errors_of_readings_leave(chambers: t
     assert not np.any(np.diag(dense, -len(band)))
 
 
+@pytest.mark.slow
 def test_ipopt_closes_the_balances_with_the_same_corrections(problem: HydraulicProblem) -> None:
     """By the program that the user gets, all corrections being unknowns, against corrections that are eliminated."""
     text = str(problem)

@@ -43,7 +43,7 @@ def test_they_are_means_of_truncated_normal_distributions(far: float, thin: floa
     exact = np.array([[ends(bodies[:, i], along[n], single[:, i], slope[n]) for i in range(SAMPLES)]
                       for n in range(SUMS)])
     np.testing.assert_allclose(np.stack([down, up], axis=-1), exact, rtol=1e-7)
-    found = marginals(at, down, up)
+    found = marginals(at, down, up, SAMPLES)
     for n in range(SUMS):
         parts = [truncnorm(t - less, t + more) for t, less, more in zip(at[n], down[n], up[n], strict=True)]
         mean, square = (np.mean([one.moment(order) for one in parts]) for order in (1, 2))
@@ -62,7 +62,7 @@ def test_a_sum_is_exact_where_nothing_else_cuts_it_off() -> None:
     samples = (gaussian.offset[:, None] + gaussian.slope @ z).T
     subject = TruncatedGaussian(gaussian, np.array([[1.0, 0.0]]), 0)
     exact = truncnorm(-0.5, np.inf, loc=1.0, scale=3.0)
-    found = subject.marginal(samples, z[:1] + 0.5, np.array([[1.0, 0.0], [0.0, 0.0]]))
+    found = subject.marginal(samples, z[:1] + 0.5, np.array([[1.0, 0.0], [0.0, 0.0]]), 64)
     assert found.mean == pytest.approx([exact.mean(), 0.0], abs=1e-6)
     assert found.std == pytest.approx([exact.std(), 0.0], abs=1e-6)
     assert found.interval == pytest.approx(np.array([exact.ppf([0.025, 0.975]), [0.0, 0.0]]), abs=1e-6)

@@ -59,7 +59,8 @@ def test_a_soft_joint_is_found(machine: Machine, planned: Poses) -> None:
     assert f"{SOFT} from 0.1" in str(choice)
 
 
-@pytest.mark.parametrize("seed", [4, *(pytest.param(k, marks=pytest.mark.slow) for k in (5, 6))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 5, 6])
 def test_a_sag_that_would_show_is_found(machine: Machine, planned: Poses, seed: int) -> None:
     """The least one that is said to show: squared errors alone would have to be twice as clear."""
     poses = measured(machine, planned, 4.6e-5, seed)

@@ -62,7 +62,7 @@ def table(model: KinematicModel, geometry: np.ndarray, seed: int | None) -> Pose
     ("excavator_bucket", ("swing.q", "boom.q", "stick.q", "rocker.q", *LENGTHS, *TIP)),
     ("excavator_bucket", (*LENGTHS, *TIP)),
     ("wheel_loader", ("bellcrank.q", *TILT, *TIP)),
-    ("stewart_platform", (*LEGS, *TIP, "tip.rx", "tip.ry", "tip.rz")),
+    pytest.param("stewart_platform", (*LEGS, *TIP, "tip.rx", "tip.ry", "tip.rz"), marks=pytest.mark.slow),
 ])
 def test_without_noise_unseen_poses_are_predicted_exactly(name: str, channels: tuple[str, ...]) -> None:
     model = surveyed(name, *channels)

@@ -47,6 +47,7 @@ def tip_std(done: MeasureUpPlan, taken: np.ndarray) -> float:
     return float(np.sqrt(np.mean(spread(model, seen, by_g) ** 2)))
 
 
+@pytest.mark.slow
 def test_the_accuracy_is_that_of_a_calibration_of_the_filled_in_table() -> None:
     done = plan()
     assert done.tip <= done.target < done.tip_before
@@ -64,6 +65,7 @@ def test_no_reading_is_superfluous() -> None:
         assert tip_std(done, fewer) > 0.98 * done.target  # 2 % for the other sample of the workspace
 
 
+@pytest.mark.slow
 def test_a_better_tip_takes_more_and_readings_that_cost_nothing_come_first() -> None:
     assert plan(0.01).minutes > plan(0.02).minutes
     machine = load_machine(FILE)
