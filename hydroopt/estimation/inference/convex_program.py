@@ -16,7 +16,7 @@ from scipy.sparse import csc_matrix, triu
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import clarabel
-from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
+from hydroopt.estimation.inference.conditions import MARGIN, SYMMETRIC, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
 from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
@@ -306,8 +306,7 @@ def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
     """Symmetric matrix (4, 4) whose upper triangle is linear in z, in cvxpy."""
     import cvxpy as cp  # noqa: PLC0415 — loaded when it is used
 
-    full = np.array([square(entry).ravel() for entry in np.eye(10)]).T
-    matrix = cp.reshape(full @ slope @ z, (4, 4), order="C") + square(constant)
+    matrix = cp.reshape(SYMMETRIC @ slope @ z, (4, 4), order="C") + square(constant)
     return (matrix + matrix.T) / 2
 
 
