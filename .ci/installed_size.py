@@ -9,7 +9,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-LIMIT = 720
+LIMIT = 940
 """[MiB], as `du --apparent-size` counts"""
 BROUGHT_ALONG = ("pip", "setuptools")
 

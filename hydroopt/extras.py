@@ -9,7 +9,7 @@ from hydroopt.errors import HydrooptError, ProblemError
 
 DISTRIBUTION = "hydroopt-calibration"
 """Name of the distribution that holds the package `hydroopt`; on the package index `hydroopt` is another project."""
-EXTRAS = {"control": "control", "cvxpy": "convex", "dask": "cluster", "distributed": "cluster",
+EXTRAS = {"control": "control", "dask": "cluster", "distributed": "cluster",
           "pyarrow": "parquet",
           "mujoco": "mjcf", "h5py": "hdf5", "asammdf": "mdf", "mcap": "ros", "rosbags": "ros", "nptdms": "tdms",
           "python_calamine": "xlsx"}
@@ -38,21 +38,6 @@ def needed(module: str, purpose: str, *, where: str, error: type[HydrooptError] 
         if missing.name != library:  # it is there, but damaged
             raise
         raise error(f"{purpose}, which is not installed", where=where, remedy=install(library)) from None
-
-
-class Lazy:
-    """A module of an extra that is imported when it is used, since it takes long.
-
-    >>> Lazy("json", "texts are read with json", where="text").loads("1")
-    1
-    """
-
-    def __init__(self, module: str, purpose: str, *, where: str) -> None:
-        self._sought = module, purpose, where
-
-    def __getattr__(self, name: str) -> Any:
-        module, purpose, where = self._sought
-        return getattr(needed(module, purpose, where=where), name)
 
 
 def install(library: str) -> str:

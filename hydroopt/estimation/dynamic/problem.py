@@ -17,7 +17,7 @@ from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import convex_program, nlp, sdp, statements
+from hydroopt.estimation.inference import convex_program, nlp, statements
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
@@ -122,8 +122,8 @@ class IdentificationProblem(Shown):
     def subject_to(self, name: str, relation: str | Expression) -> IdentificationProblem:
         """With a named constraint: a linear one as text, ``"boom.m + stick.m == 2518 kg"``, or a function.
 
-        The function, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``, is called with parameters [SI] in cvxpy for
-        the convex methods, which are the default, and in CasADi for ``nlp``.
+        The function, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``, is called with parameters [SI] in CasADi;
+        one that is not linear is called again by the convex methods, which are the default, in cvxpy.
 
         Raises:
             ProblemError: the name exists already, or the text is no linear relation between parameters.
@@ -131,8 +131,11 @@ class IdentificationProblem(Shown):
         """
         if isinstance(relation, str):
             return self._with(statements.read_constraint(self.parameters, name, relation))
+        constraint = Constraint(name, relation)
+        if linear := statements.linear_relation(self.parameters, constraint):
+            return self._with(linear)
         self._refuse_taken(name)
-        return replace(self, constraints=(*self.constraints, Constraint(name, relation)))
+        return replace(self, constraints=(*self.constraints, constraint))
 
     def with_prior(self, name: str, expression: str | Expression, *, value: float | None = None,
                    sigma: float | None = None) -> IdentificationProblem:
@@ -420,7 +423,7 @@ class IdentificationProblem(Shown):
         """
         def optimum(R: Array, r: Array) -> Array:
             posterior = gaussian_posterior(self, R, r)
-            return sdp.semidefinite_program(self, posterior, consistent=self.consistent).psi
+            return convex_program.semidefinite_program(self, posterior, consistent=self.consistent).psi
 
         weighted = weighted_residuals(self, RANK_TOLERANCE, optimum, point)
         return convex_program.convex_program(self, weighted.R, weighted.r, weighted.rest)

@@ -11,10 +11,10 @@ import numpy as np
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.inference import least_squares, nlp, sdp
+from hydroopt.estimation.inference import convex_program, least_squares, nlp
 from hydroopt.estimation.inference.conditions import Condition
+from hydroopt.estimation.inference.convex_program import Optimum
 from hydroopt.estimation.inference.priors import Prior
-from hydroopt.estimation.inference.sdp import Optimum
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.dynamic import bodies
@@ -33,7 +33,7 @@ def most_probable(problem: IdentificationProblem, method: str, R: Array, r: Arra
     posterior = gaussian_posterior(problem, R, r)
     if method == "nlp":
         return nlp.interior_point(problem, posterior)
-    return sdp.semidefinite_program(problem, posterior, consistent=method == "sdp" and problem.consistent)
+    return convex_program.semidefinite_program(problem, posterior, consistent=method == "sdp" and problem.consistent)
 
 
 def reduced_parameters(weighted: WeightedResiduals[IdentificationProblem], method: str, tolerance: float,

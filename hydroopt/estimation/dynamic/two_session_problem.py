@@ -17,8 +17,8 @@ from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
+from hydroopt.estimation.inference import convex_program
 from hydroopt.estimation.inference import posterior as uncertainty
-from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.band_variances import f_test, students
 from hydroopt.estimation.inference.conditions import ScaledBody
 from hydroopt.estimation.inference.mixed_model import projected
@@ -206,7 +206,8 @@ def solve_both(problem: TwoSessionProblem, A: Array, b: Array, freedom: Array, *
     """
     size = students(freedom)
     R, r = folded(A * size[:, None], b * size)
-    found = sdp.semidefinite_program(problem, gaussian_posterior(problem, R, r), consistent=problem.consistent)
+    found = convex_program.semidefinite_program(problem, gaussian_posterior(problem, R, r),
+                                                consistent=problem.consistent)
     if not intervals:
         return TwoSessionOptimum(found.psi, None, found.active, ())
     posterior = uncertainty.sample(problem, R, r, found.psi, consistent=problem.consistent, seed=seed)

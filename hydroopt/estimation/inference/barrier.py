@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.inference.conditions import square
+from hydroopt.estimation.inference.conditions import SYMMETRIC
 from hydroopt.spatial.inertia import Array
 
 POWER = 2.5
@@ -24,8 +24,6 @@ STEPS, DECREMENT = 60, 1e-4
 """Newton steps at most, and the squared decrement at which they end: the place is exact to 1 % of its spread."""
 SMALLEST_STEP = 1e-8
 """Part of a Newton step below which rounding errors decide."""
-SYMMETRIC = np.array([square(entry).ravel() for entry in np.eye(10)]).T
-"""(16, 10) the entries of a matrix of its upper triangle."""
 
 Slack = Callable[[Array], tuple[Array, Array]]
 
@@ -62,14 +60,10 @@ class Interior(NamedTuple):
         """In coordinates x with ``y = origin + width·x``."""
         return Interior(self.centre + self.root @ origin, self.root * width)
 
-    def log_ratio(self, y: Array) -> Array:
-        """Logarithm (c,) of the density of z (k, c), standard normal, over that of y, up to a constant."""
-        square, linear = self.ratio
-        return np.asarray(square @ y**2 + linear @ y)
-
     @property
     def ratio(self) -> tuple[Array, Array]:
-        """Coefficients (k,) of each coordinate's square and of itself in `log_ratio`."""
+        """Coefficients (k,) of each coordinate's square and of itself in the logarithm of the density of z, standard
+        normal, over that of y."""
         return 0.5 * (1 - np.sum(self.root**2, axis=0)), -(self.centre @ self.root)
 
 

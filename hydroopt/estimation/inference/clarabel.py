@@ -1,67 +1,68 @@
-"""Convex programs solved by Clarabel through cvxpy: status messages and a check of the solution."""
+"""A convex program in cones, ``min ½xᵀPx + qᵀx`` with ``b − A·x`` in cones, solved by Clarabel and checked."""
 
 from __future__ import annotations
 
-import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.certificate import Certificate
-from hydroopt.extras import Lazy
 from hydroopt.spatial.inertia import Array
 
-if TYPE_CHECKING:
-    import cvxpy as cp
-else:  # takes long to load, and most problems do without it
-    cp = Lazy("cvxpy", "constraints of one's own, log-det distances and contradictions are stated with cvxpy",
-              where="constraints")
+TOLERANCE = 1e-10
+"""Relative and absolute tolerance of Clarabel."""
 
 
-def solve_convex(problem: cp.Problem, where: str) -> bool:
-    """Solve with Clarabel; False if the constraints contradict each other.
-
-    Raises:
-        SolverError: no answer, or the problem is not convex.
-    """
-    if not problem.is_dcp():
-        raise SolverError("a constraint is not convex", where=where, remedy="use method 'nlp'")
-    try:
-        with warnings.catch_warnings():  # the certificate decides about an inaccurate answer
-            warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
-    except cp.SolverError as error:
-        raise SolverError(f"Clarabel failed ({error})", where=where,
-                          remedy="check the scale of priors and data") from None
-    if problem.status in ("infeasible", "infeasible_inaccurate"):
-        return False
-    if problem.status not in ("optimal", "optimal_inaccurate"):
-        raise SolverError(f"Clarabel ended as '{problem.status}'", where=where,
-                          remedy="add a prior or a bound so that the answer is finite")
-    return True
-
-
-def certify_convex(variable: cp.Variable, gradient: Array, constraints: list[Any]) -> Certificate:
-    """Recompute feasibility and stationarity of ``min f(x) s.t. constraints`` at the returned x and multipliers.
+def solve(P: csc_matrix, q: Array, A: csc_matrix, b: Array, kinds: Sequence[Any], where: str,
+          tolerance: float = TOLERANCE) -> Any:
+    """Clarabel's solution: the point `x`, and the multipliers `z` of all rows; None if the cones contradict each other.
 
     Args:
-        variable: x, holding the solution.
-        gradient: (k,) of the objective f at x.
-        constraints: all cvxpy constraints, each holding its multiplier.
+        P: upper triangle of the objective's matrix (k, k).
+        q: (k,) the objective's slope at zero.
+        A, b: rows (m, k) and constants (m,).
+        kinds: Clarabel's cones, in the order of their rows.
+        where: subject for error messages.
+        tolerance: relative and absolute, of Clarabel.
+
+    Raises:
+        SolverError: no answer, or one that fails the check of its optimality.
+
+    >>> import clarabel
+    >>> P, A, positive = csc_matrix(np.eye(2)), csc_matrix([[-1.0, 0.0]]), [clarabel.NonnegativeConeT(1)]
+    >>> np.round(solve(P, np.array([1.0, -2.0]), A, np.zeros(1), positive, "example").x, 6) + 0.0
+    array([0., 2.])
     """
-    total, size = gradient.copy(), np.abs(gradient)
-    violation = 0.0
-    for constraint in constraints:
-        body = constraint.args[0] - constraint.args[1] if len(constraint.args) == 2 else constraint.args[0]
-        violation = max(violation, float(np.max(constraint.violation())))
-        derivative = body.grad[variable]
-        if derivative is None:
-            continue
-        # a semidefinite cone enters the Lagrangian with a minus, all else as multiplier times (left − right)
-        sign = -1.0 if isinstance(constraint, cp.constraints.PSD) else 1.0
-        multiplier = np.asarray(constraint.dual_value, dtype=float).ravel(order="F")
-        share = sign * np.asarray(derivative @ multiplier).ravel()
-        total += share
-        size = size + np.abs(share)
-    return Certificate(violation, float(np.max(np.abs(total)) / max(1.0, float(size.max()))))
+    import clarabel  # noqa: PLC0415 — loaded when it is used
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.max_threads = 1  # of so few rows, more take longer
+    # coordinates are whitened: scaling the rows as well costs steps, and without noise the end of the search
+    answers = []
+    for settings.equilibrate_enable in (False, True):
+        answers.append(clarabel.DefaultSolver(P, q, A, b, kinds, settings).solve())
+        if str(answers[-1].status) == "Solved" or "PrimalInfeasible" in str(answers[-1].status):
+            break
+    # of two that are almost solved the latter, whose constraints hold more closely
+    found = next((one for one in answers[::-1] if "Solved" in str(one.status)), answers[-1])
+    status = str(found.status)
+    if "PrimalInfeasible" in status:
+        return None
+    if "Solved" not in status:
+        raise SolverError(f"Clarabel ended as '{status}'", where=where, remedy="check the scale of priors and data")
+    certificate(P, q, A, b, *(np.array(part) for part in (found.x, found.s, found.z))).trust(where)
+    return found
+
+
+def certificate(P: csc_matrix, q: Array, A: csc_matrix, b: Array, x: Array, s: Array, z: Array) -> Certificate:
+    """Recompute feasibility, stationarity and complementarity at x (k,) with slack s (m,) and multipliers z (m,)."""
+    terms = np.stack([P @ x + P.T @ x - P.diagonal() * x, q, A.T @ z])
+    scale = max(1.0, float(np.max(np.abs(terms).sum(axis=0), initial=0.0)))
+    stationarity = float(np.max(np.abs(terms.sum(axis=0)), initial=0.0)) / scale
+    violation = np.abs(A @ x + s - b) / np.maximum(1.0, np.abs(b) + np.abs(s))
+    return Certificate(float(np.max(violation, initial=0.0)), max(stationarity, float(np.abs(s @ z)) / scale**2))

@@ -60,6 +60,10 @@ def square(upper: Array) -> Array:
     return matrix + np.triu(matrix, 1).T
 
 
+SYMMETRIC = np.array([square(entry).ravel() for entry in np.eye(10)]).T
+"""(16, 10) the entries of a symmetric matrix of its upper triangle."""
+
+
 @dataclass(frozen=True, eq=False)
 class ScaledBody:
     """A body's place in ψ and the scaling S that makes its pseudo-inertia S·J·Sᵀ about the identity's size.

@@ -1,31 +1,69 @@
-"""The estimate as cvxpy's convex program, for users who extend it, and for constraints that only cvxpy understands."""
+"""The estimate as a convex program: cones that go to Clarabel, or to cvxpy where a user's own function is not affine.
+
+Clarabel solves either (`hydroopt.estimation.inference.clarabel`). Conditions of physics and of the machine file need no
+modelling language, which takes longer to load, and to translate a program, than Clarabel takes to solve it.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.sparse import csc_matrix, triu
 
-from hydroopt.errors import ProblemError
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import clarabel
-from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
+from hydroopt.estimation.inference.conditions import MARGIN, SYMMETRIC, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.nearest_point import cones, nearest_point
 from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
-from hydroopt.extras import Lazy
-from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     import cvxpy as cp
-else:  # takes long to load, and most problems do without it
-    cp = Lazy("cvxpy", "constraints of one's own, log-det distances and contradictions are stated with cvxpy",
-              where="constraints")
 
-NamedConstraints = list[tuple[str, list[Any]]]
+ACTIVE = 1e-6
+"""Multiplier from which on a condition counts as active."""
+DIAGONAL = UPPER[0] == UPPER[1]
+BY_COLUMN = np.lexsort(UPPER)
+"""Entries of an upper triangle, which we have row by row, in Clarabel's order: column by column."""
+LENGTH = np.where(DIAGONAL, 1.0, np.sqrt(2.0))
+"""What gives the triangle the length of the matrix."""
+
+
+class Optimum(NamedTuple):
+    """ψ (p,) and the names of the active constraints."""
+
+    psi: Array
+    active: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """A condition on z (k,): constant + slope·z is not negative, or the upper triangle (10,) of a possible matrix."""
+
+    name: str
+    matrix: bool
+    constant: Array
+    slope: Array
+
+    def least(self, z: Array) -> float:
+        """The smallest value or eigenvalue at z."""
+        values = self.constant + self.slope @ z
+        return float(np.min(np.linalg.eigvalsh(square(values)) if self.matrix else values, initial=np.inf))
+
+    def rows(self) -> tuple[Array, Array]:
+        """Slope (m, k) and constant (m,) as Clarabel orders and scales them."""
+        if not self.matrix:
+            return self.slope, self.constant
+        return (LENGTH[:, None] * self.slope)[BY_COLUMN], (LENGTH * self.constant)[BY_COLUMN]
+
+    def in_cvxpy(self, z: cp.Variable) -> Any:
+        """The same as cvxpy's constraint."""
+        return _matrix(self.constant, self.slope, z) >> 0 if self.matrix else self.slope @ z >= -self.constant
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,25 +100,76 @@ class ConvexProgram:
         return f"ConvexProgram({len(self.variables)} parameters, {len(self.constraints)} constraints)"
 
 
-def most_probable(problem: InferenceProblem, unconstrained: GaussianPosterior, *,
-              consistent: bool) -> tuple[Array, frozenset[str]]:
-    """The most probable ψ (p,) and the names of the active inequalities.
+def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
+    """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
     Raises:
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
         SolverError: the solver's answer is not to be trusted.
     """
-    posterior, z, cost, named = _program(problem, unconstrained, consistent=consistent)
-    everything = [c for _, group in named for c in group]
-    z.value = np.zeros(z.shape)
-    if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
-        return posterior.offset, frozenset()
-    if not clarabel.solve_convex(cp.Problem(cp.Minimize(cost), everything), problem.where):
-        raise contradiction(problem, unconstrained, consistent=consistent)
-    value = np.asarray(z.value, dtype=float)
-    clarabel.certify_convex(z, _gradient(problem, posterior, value), everything).trust(problem.where)
-    return (posterior.offset + posterior.slope @ value,
-            frozenset(name for name, group in named if _is_active(group)))
+    found = _most_probable(problem, posterior, consistent=consistent)
+    if found is None:
+        raise contradiction(problem, posterior, consistent=consistent)
+    psi, held = found
+    for body in problem.bodies if consistent else ():
+        smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
+        if smallest <= 0:
+            raise SolverError(f"the body '{body.owner}' came out physically inconsistent (smallest eigenvalue "
+                              f"{smallest:.1e})", where=problem.where,
+                              remedy="widen its prior or the constraints on it")
+    active = held | {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
+    return Optimum(psi, tuple(name for name in names_of(problem, consistent=consistent) if name in active))
+
+
+def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Array, *, consistent: bool,
+                margin: float) -> Array | None:
+    """The point (k,) nearest to z that fulfils every inequality and matrix with a margin; None if none is found.
+
+    Functions of the user's own are ignored.
+    """
+    within = cones(problem.requirements(consistent=consistent), posterior, margin)
+    try:
+        found = nearest_point(z, within, problem.where)
+    except SolverError:  # the estimate holds; without a start there are no intervals, which a note states
+        return None
+    return None if found is None else found[0]
+
+
+def cones(conditions: Sequence[Condition], posterior: GaussianPosterior, margin: float = 0.0) -> tuple[Cone, ...]:
+    """Inequalities and matrices with a margin, on the posterior's coordinates; equalities hold by their choice."""
+    found = []
+    for condition in conditions:
+        if condition.kind != "zero":
+            matrix = condition.kind == "semidefinite"
+            away = (MARGIN + margin) * DIAGONAL if matrix else margin
+            found.append(Cone(condition.name, matrix, condition.evaluate(posterior.offset) - away,
+                              condition.rows @ posterior.slope))
+    return tuple(found)
+
+
+def nearest_point(target: Array, within: Sequence[Cone], where: str) -> tuple[Array, frozenset[str]] | None:
+    """The point (k,) nearest to a target within cones, and the names of those that hold it back; None if they
+    contradict each other.
+
+    Raises:
+        SolverError: no answer, or one that fails the check of its optimality.
+
+    >>> positive = Cone("positive", False, np.zeros(1), np.array([[1.0, 0.0]]))
+    >>> nearest_point(np.array([-1.0, 2.0]), [positive], "example")[0].round(6)
+    array([0., 2.])
+    """
+    import clarabel as conic  # noqa: PLC0415 — loaded when it is used
+
+    slopes, constants = zip((np.zeros((0, len(target))), np.zeros(0)), *(cone.rows() for cone in within), strict=True)
+    kinds = [conic.PSDTriangleConeT(4) if cone.matrix else conic.NonnegativeConeT(len(cone.constant))
+             for cone in within]
+    found = clarabel.solve(csc_matrix(np.eye(len(target))), -target, csc_matrix(-np.vstack(slopes)),
+                           np.concatenate(constants), kinds, where)
+    if found is None:
+        return None
+    multipliers = np.split(np.abs(found.z), np.cumsum([len(part) for part in constants[1:]]))
+    return np.array(found.x), frozenset(cone.name for cone, size in zip(within, multipliers, strict=False)
+                                        if np.max(size, initial=0.0) > ACTIVE)
 
 
 def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 0.0) -> ConvexProgram:
@@ -90,10 +179,14 @@ def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 
         ProblemError: a constraint is not convex; or constraints contradict each other, and the smallest contradicting
             set is named.
     """
+    import cvxpy as cp  # noqa: PLC0415 — loaded when it is used
+
     unconstrained = gaussian_posterior(problem, R, r)
-    posterior, z, cost, named = _program(problem, unconstrained, consistent=problem.consistent)
-    curved = [name for name, group in named if not all(c.is_dcp() for c in group)]
-    if curved:
+    posterior = unconstrained.conditioned_on(problem.requirements(consistent=problem.consistent))
+    if posterior is None:
+        raise contradiction(problem, unconstrained, consistent=problem.consistent)
+    z, cost, named = _in_cvxpy(problem, posterior, consistent=problem.consistent)
+    if curved := [name for name, group in named.items() if not all(c.is_dcp() for c in group)]:
         raise ProblemError(f"not convex: {', '.join(curved)}", where=problem.where,
                            remedy="use problem.nlp(), whose constraints need not be convex")
     parameters, offset = problem.parameters, posterior.offset
@@ -103,43 +196,8 @@ def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 
     rest += float(np.sum((R @ offset - r) ** 2) + np.sum((squares @ offset - right) ** 2) + np.sum(wide**2))
     rest -= float(np.sum(posterior.right**2)) if _distant(problem) else 0.0
     psi = posterior.offset + posterior.slope @ z
-    return ConvexProgram(cp.Problem(cp.Minimize(cost + rest), [c for _, group in named for c in group]), psi,
-                         {name: psi[k] for k, name in enumerate(parameters.names)}, dict(named))
-
-
-def _program(problem: InferenceProblem, unconstrained: GaussianPosterior, *,
-             consistent: bool) -> tuple[GaussianPosterior, cp.Variable, Any, NamedConstraints]:
-    """The posterior where equalities hold, its coordinates z, the cost, and the constraints by name.
-
-    Raises:
-        ProblemError: constraints contradict each other; the smallest contradicting set is named.
-    """
-    posterior = unconstrained.conditioned_on(problem.requirements(consistent=consistent))
-    if posterior is None:
-        raise contradiction(problem, unconstrained, consistent=consistent)
-    z = cp.Variable(posterior.slope.shape[1], name="z")
-    named = constraints_of(problem, posterior, z, consistent=consistent)
-    cost = cp.sum_squares(z) if not _distant(problem) else (
-        cp.sum_squares(posterior.root @ z - posterior.right) + sum(_distances(problem, posterior, z)))
-    return posterior, z, cost, named
-
-
-def constraints_of(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable, *, consistent: bool,
-                   without: Collection[str] = ()) -> NamedConstraints:
-    """Constraints by name but some, in terms of the Gaussian's coordinates z, which hold equalities by themselves."""
-    named: dict[str, list[Any]] = {}
-    for condition in problem.requirements(consistent=consistent):
-        if condition.kind != "zero" and condition.name not in without:
-            named.setdefault(condition.name, []).append(_constraint(condition, posterior, z))
-    view = Named(problem.parameters, lambda k: posterior.offset[k] + posterior.slope[k] @ z)
-    for constraint in problem.constraints:
-        if constraint.name in without:
-            continue
-        relation = constraint.evaluated(view, convex=True)
-        if not isinstance(relation, cp.Constraint):
-            raise no_relation(constraint)
-        named[constraint.name] = [relation]
-    return list(named.items())
+    return ConvexProgram(cp.Problem(cp.Minimize(cost + rest), [c for group in named.values() for c in group]), psi,
+                         {name: psi[k] for k, name in enumerate(parameters.names)}, named)
 
 
 def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
@@ -149,73 +207,108 @@ def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
     """
     try:
-        named = constraints_of(problem, posterior, cp.Variable(posterior.slope.shape[1]), consistent=consistent)
-    except ProblemError:  # one that only CasADi understands
+        if _most_probable(problem, posterior, consistent=consistent) is not None:
+            return
+        found = contradiction(problem, posterior, consistent=consistent)
+    except (ProblemError, SolverError):  # one that only CasADi understands, or that is not convex
         return
-    convex = all(c.is_dcp() for _, group in named for c in group)
-    if convex and not _compatible(problem, posterior, consistent=consistent):
-        raise contradiction(problem, posterior, consistent=consistent)
-
-
-def _constraint(condition: Condition, posterior: GaussianPosterior, z: cp.Variable) -> Any:
-    at_mean, slope = condition.evaluate(posterior.offset), condition.rows @ posterior.slope
-    if condition.kind == "semidefinite":
-        return _matrix(at_mean, slope, z) - MARGIN * np.eye(4) >> 0
-    return slope @ z >= -at_mean
-
-
-def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
-    """Symmetric matrix (4, 4) whose upper triangle is linear in z."""
-    full = np.array([square(entry).ravel() for entry in np.eye(10)]).T
-    matrix = cp.reshape(full @ slope @ z, (4, 4), order="C") + square(constant)
-    return (matrix + matrix.T) / 2
-
-
-def _distant(problem: InferenceProblem) -> bool:
-    return problem.distance == "log-det"
-
-
-def _distances(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable) -> list[Any]:
-    found = []
-    for body in problem.bodies:
-        W = _matrix(body.basis @ posterior.offset[body.columns], body.basis @ posterior.slope[body.columns], z)
-        found.append(body.weight * (cp.trace(W) - cp.log_det(W) - 4))
-    return found
-
-
-def _gradient(problem: InferenceProblem, posterior: GaussianPosterior, z: Array) -> Array:
-    """Gradient (k,) of the cost, for a check without cvxpy."""
-    gradient: Array = 2 * posterior.root.T @ (posterior.root @ z - posterior.right)
-    for body in problem.bodies if _distant(problem) else ():
-        J = inertia.pseudo_inertia((posterior.offset + posterior.slope @ z)[body.columns])
-        along = body.scaling.T @ body.scaling - np.linalg.inv(J)
-        gradient += body.weight * posterior.slope[body.columns].T @ np.einsum("kij,ji", inertia.PSEUDO_BASIS, along)
-    return gradient
-
-
-def _is_active(group: Sequence[Any]) -> bool:
-    return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
-
-
-def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
-                without: Collection[str] = ()) -> bool:
-    conditions = [c for c in problem.requirements(consistent=consistent) if c.name not in without]
-    left = posterior.conditioned_on(conditions)
-    if left is None:
-        return False
-    if not problem.constraints:
-        return nearest_point(np.zeros(left.slope.shape[1]), cones(conditions, left), problem.where) is not None
-    z = cp.Variable(left.slope.shape[1])
-    named = constraints_of(problem, left, z, consistent=consistent, without=without)
-    program = cp.Problem(cp.Minimize(cp.sum_squares(z)), [c for _, group in named for c in group])
-    return clarabel.solve_convex(program, problem.where)
+    raise found
 
 
 def contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
     """A smallest set of contradicting constraints: each is left out that the contradiction does not need."""
     names, without = names_of(problem, consistent=consistent), set[str]()
     for name in names:
-        if not _compatible(problem, posterior, consistent=consistent, without=without | {name}):
+        if _most_probable(problem, posterior, consistent=consistent, without=without | {name}) is None:
             without.add(name)
     return ProblemError(f"these cannot hold together: {'; '.join(n for n in names if n not in without)}",
                         where=problem.where, remedy="drop or loosen one of them")
+
+
+def _most_probable(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
+                   without: Collection[str] = ()) -> tuple[Array, frozenset[str]] | None:
+    """The most probable ψ (p,) and the names of active inequalities; None if constraints contradict each other.
+
+    Raises:
+        ProblemError: a constraint does not return a relation.
+        SolverError: a constraint is not convex, or the solver's answer is not to be trusted.
+    """
+    conditions = [c for c in problem.requirements(consistent=consistent) if c.name not in without]
+    left = posterior.conditioned_on(conditions)
+    if left is None:
+        return None
+    within, origin = cones(conditions, left), np.zeros(left.slope.shape[1])
+    if problem.constraints or _distant(problem):
+        found = _by_cvxpy(*_in_cvxpy(problem, left, consistent=consistent, without=without), problem.where)
+    elif all(cone.least(origin) >= 0 for cone in within):
+        found = origin, frozenset()  # the least possible ‖z‖, without a solver's rounding
+    else:
+        found = nearest_point(origin, within, problem.where)
+    return None if found is None else (left.offset + left.slope @ found[0], found[1])
+
+
+def _by_cvxpy(z: cp.Variable, cost: Any, named: Mapping[str, list[Any]],
+              where: str) -> tuple[Array, frozenset[str]] | None:
+    """What `nearest_point` finds, of a program that cvxpy translates for Clarabel.
+
+    Raises:
+        SolverError: a constraint is not convex; and as of `nearest_point`.
+    """
+    import cvxpy as cp  # noqa: PLC0415 — loaded when it is used
+    from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver_cones  # noqa: PLC0415
+
+    program = cp.Problem(cp.Minimize(cost), [c for group in named.values() for c in group])
+    if not program.is_dcp():
+        raise SolverError("a constraint is not convex", where=where, remedy="use method 'nlp'")
+    data, chain, inverse = program.get_problem_data(cp.CLARABEL, solver_opts={})
+    found = clarabel.solve(csc_matrix(triu(data["P"])), data["c"], data["A"], data["b"],
+                           dims_to_solver_cones(data["dims"]), where)
+    if found is None:
+        return None
+    with warnings.catch_warnings():  # the certificate has decided about an inaccurate answer
+        warnings.simplefilter("ignore", UserWarning)
+        program.unpack_results(found, chain, inverse)
+    return np.asarray(z.value, dtype=float), frozenset(name for name, group in named.items() if any(
+        np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > ACTIVE for c in group))
+
+
+def _in_cvxpy(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
+              without: Collection[str] = ()) -> tuple[cp.Variable, Any, dict[str, list[Any]]]:
+    """The Gaussian's coordinates z, which hold equalities by themselves, the cost, and constraints by name but some.
+
+    Raises:
+        ProblemError: a constraint does not return a relation.
+    """
+    import cvxpy as cp  # noqa: PLC0415 — loaded when it is used
+
+    z = cp.Variable(posterior.slope.shape[1], name="z")
+    named: dict[str, list[Any]] = {}
+    for cone in cones(problem.requirements(consistent=consistent), posterior):
+        if cone.name not in without:
+            named.setdefault(cone.name, []).append(cone.in_cvxpy(z))
+    view = Named(problem.parameters, lambda k: posterior.offset[k] + posterior.slope[k] @ z)
+    for constraint in problem.constraints:
+        if constraint.name not in without:
+            relation = constraint.evaluated(view, convex=True)
+            if not isinstance(relation, cp.Constraint):
+                raise no_relation(constraint)
+            named[constraint.name] = [relation]
+    if not _distant(problem):
+        return z, cp.sum_squares(z), named
+    cost = cp.sum_squares(posterior.root @ z - posterior.right)
+    for body in problem.bodies:
+        W = _matrix(body.basis @ posterior.offset[body.columns], body.basis @ posterior.slope[body.columns], z)
+        cost += body.weight * (cp.trace(W) - cp.log_det(W) - 4)
+    return z, cost, named
+
+
+def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
+    """Symmetric matrix (4, 4) whose upper triangle is linear in z, in cvxpy."""
+    import cvxpy as cp  # noqa: PLC0415 — loaded when it is used
+
+    matrix = cp.reshape(SYMMETRIC @ slope @ z, (4, 4), order="C") + square(constant)
+    return (matrix + matrix.T) / 2
+
+
+def _distant(problem: InferenceProblem) -> bool:
+    return problem.distance == "log-det"

@@ -90,6 +90,8 @@ def _relation(parameters: ParameterSet, condition: Condition) -> str:
     if len(condition.rows) > 1:
         return f"{len(condition.rows)} linear sums {sign} 0"
     row, right = condition.rows[0], condition.right[0]
+    if sign == "≥" and np.all(row <= 0):
+        row, right, sign = -row, -right, "≤"
     size = float(np.min(np.abs(row[row != 0]), initial=np.inf))  # conditions are scaled
     return f"{_sum(parameters, row / size)} {sign} {number(right / size)}"
 

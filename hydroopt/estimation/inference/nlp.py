@@ -18,9 +18,9 @@ from hydroopt.errors import SolverError
 from hydroopt.estimation.inference import convex_program, ipopt
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
+from hydroopt.estimation.inference.convex_program import Optimum
 from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.program import NonlinearProgram
-from hydroopt.estimation.inference.sdp import Optimum
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior
 from hydroopt.spatial.inertia import Array
 

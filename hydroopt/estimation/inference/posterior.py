@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import elliptical_moves, sdp
+from hydroopt.estimation.inference import convex_program, elliptical_moves
 from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
@@ -111,7 +110,7 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     user = _user_constraints(problem)
     if user is None:
         return None
-    gaussian = gaussian_posterior(problem, R, r).conditioned_on([*conditions, *user.equalities])
+    gaussian = gaussian_posterior(problem, R, r).conditioned_on(conditions)
     if gaussian is None:
         return None
     inequalities = _Inequalities(problem, gaussian, user, conditions, Interior.of(len(gaussian.slope.T)))
@@ -166,7 +165,7 @@ def _possible_points(problem: InferenceProblem, gaussian: GaussianPosterior, use
     if inequalities.possible(stated):
         yield np.asarray(stated)
     for distance in (1e-1, 1e-2, 1e-3):
-        inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
+        inner = convex_program.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
         if inner is not None and inequalities.possible(inner := user.inwards(inner, gaussian, distance)):
             yield inner
             return
@@ -346,9 +345,8 @@ def _pivots(upper: Array) -> Array:
 
 @dataclass(frozen=True)
 class _UserConstraints:
-    """The user's equalities, and inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
+    """The user's inequalities ``g(ψ) ≤ 0`` that are not linear, with their slopes, if any."""
 
-    equalities: tuple[Condition, ...]
     inequality: ca.Function | None
     slopes: ca.Function | None
 
@@ -386,24 +384,17 @@ def _user_constraints(problem: InferenceProblem) -> _UserConstraints | None:
     parameters = problem.parameters
     psi = ca.SX.sym("psi", len(parameters))
     named = Named(parameters, lambda k: psi[k])
-    equalities: list[Condition] = []
     insides: list[ca.SX] = []
     for constraint in problem.constraints:
         try:
             body, equal = as_casadi(constraint, named)
         except (ProblemError, TypeError, ValueError, NotImplementedError):  # what cvxpy raises at CasADi symbols
             return None
-        if not equal:
-            insides.append(body)
-            continue
-        row = ca.jacobian(body, psi)
-        if ca.depends_on(row, psi):
+        if equal:
             return None
-        at_zero = ca.Function("equality", [psi], [row, body])(ca.DM.zeros(psi.shape))
-        equalities.append(physics.equal(constraint.name, parameters, np.asarray(ca.DM(at_zero[0])).ravel(),
-                                        -float(at_zero[1])))
+        insides.append(body)
     if not insides:
-        return _UserConstraints(tuple(equalities), None, None)
+        return _UserConstraints(None, None)
     g = ca.vertcat(*insides)
-    return _UserConstraints(tuple(equalities), ca.Function("inequality", [psi], [g]),
-                   ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))
+    return _UserConstraints(ca.Function("inequality", [psi], [g]),
+                            ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))

@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
+import casadi as ca
 import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import conditions
 from hydroopt.estimation.inference.conditions import Condition
-from hydroopt.estimation.inference.constraints import Expression
+from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, as_casadi
 from hydroopt.estimation.inference.priors import Prior, linear_prior
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -89,6 +90,31 @@ def read_constraint(parameters: ParameterSet, name: str, text: str) -> Condition
         return conditions.equal(name, parameters, row, value)
     sign = 1.0 if sides[1] == ">=" else -1.0
     return conditions.at_least(name, parameters, sign * row, sign * value)
+
+
+def linear_relation(parameters: ParameterSet, constraint: Constraint) -> Condition | None:
+    """The condition that a function states; None if it is not one linear relation between parameters.
+
+    >>> import hydroopt as ho
+    >>> parameters = ho.Model(ho.load_machine("cat215b")).parameters
+    >>> linear_relation(parameters, Constraint("scales", lambda p: p["boom.m"] + p["stick.m"] <= 2518.0)).kind
+    'nonnegative'
+    >>> linear_relation(parameters, Constraint("product", lambda p: p["boom.m"] * p["stick.m"] <= 1e6))
+    """
+    psi = ca.SX.sym("psi", len(parameters))
+    try:
+        body, equal = as_casadi(constraint, Named(parameters, lambda k: psi[k]))
+    except ProblemError:  # solvers refuse it, unless it is one of cvxpy
+        return None
+    slope = ca.jacobian(body, psi)
+    if ca.depends_on(slope, psi):
+        return None
+    at_zero = ca.Function("relation", [psi], [slope, body])(ca.DM.zeros(psi.shape))
+    row, value = np.asarray(ca.DM(at_zero[0])).ravel(), -float(at_zero[1])
+    if not (np.any(row) and np.all(np.isfinite(row)) and isfinite(value)):
+        return None
+    return (conditions.equal(constraint.name, parameters, row, value) if equal
+            else conditions.at_least(constraint.name, parameters, -row, -value))
 
 
 def read_prior(parameters: ParameterSet, name: str, text: str) -> Prior:

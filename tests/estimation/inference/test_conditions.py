@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic.diagnostics import diagnose
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import nlp, sdp
+from hydroopt.estimation.inference import convex_program, nlp
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.estimation.inference.posterior import sample
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -57,10 +57,10 @@ def nothing(p: int = 10) -> tuple[np.ndarray, np.ndarray]:
 
 
 def solved(problem: IdentificationProblem, method: str,
-           data: tuple[np.ndarray, np.ndarray] | None = None) -> sdp.Optimum:
+           data: tuple[np.ndarray, np.ndarray] | None = None) -> convex_program.Optimum:
     posterior = gaussian_posterior(problem, *(data or nothing(len(problem.parameters))))
     return (nlp.interior_point(problem, posterior) if method == "nlp"
-            else sdp.semidefinite_program(problem, posterior, consistent=method == "sdp"))
+            else convex_program.semidefinite_program(problem, posterior, consistent=method == "sdp"))
 
 
 def of_points(points: np.ndarray, masses: np.ndarray) -> np.ndarray:

@@ -87,8 +87,8 @@ def test_truncated_normal_where_nominal_parameters_are_excluded(free_wheel: Iden
                                                                   monkeypatch: pytest.MonkeyPatch) -> None:
     least, found = free_wheel.parameters.nominal[1] + 40.0, []
     excluding = free_wheel.subject_to("rough", lambda p: p["drive.tau_coulomb"] >= least)
-    own = posterior.sdp.inner_point
-    monkeypatch.setattr(posterior.sdp, "inner_point", lambda *a, **k: found.append(own(*a, **k)) or found[-1])
+    convex, own = posterior.convex_program, posterior.convex_program.inner_point
+    monkeypatch.setattr(convex, "inner_point", lambda *a, **k: found.append(own(*a, **k)) or found[-1])
     samples = pooled(excluding, np.eye(4), np.array([10.0, least - 1.0, 30.0, 30.0]), runs=6)
     assert len(found) == 6  # where the chains begin
     exact = truncnorm(1.0, np.inf, loc=least - 1.0, scale=1.0)

@@ -177,14 +177,16 @@ def test_unknown_names_and_wrong_sizes_are_refused(noisy: IdentificationProblem)
 
 
 def test_a_problem_prints_as_an_optimisation_model(constrained: IdentificationProblem) -> None:
-    problem = constrained.subject_to("light arm", light_arm).with_prior("scales", "stick.m", value=700.0, sigma=10.0)
+    problem = constrained.subject_to("light arm", light_arm).subject_to("product", product)
+    problem = problem.with_prior("scales", "stick.m", value=700.0, sigma=10.0)
     text = str(problem)
     for line in (r"variables ψ (82)", "boom.m                     kg      1830      366          0            –",
                  "residuals of boom_cylinder: Σ (e/σ)², e = f − K·ψ [N]", "prior scales: stick.m = 700 ± 10 kg",
-                 "boom.m + stick.m = 2300              kg", "((boom.m+stick.m)<=2300)", "3 linear sums = 0"):
+                 "boom.m + stick.m = 2300              kg", "boom.m + stick.m ≤ 2300              kg",
+                 "((boom.m*stick.m)<=1.1e+06)", "3 linear sums = 0"):
         assert line in text, line
     assert repr(problem) == ("IdentificationProblem(cat215b: 82 parameters, 2 training logs, loss squares, "
-                             "3 constraints)")
+                             "4 constraints)")
     assert "boom_cylinder.sigma" in str(problem.nlp())
 
 

@@ -12,6 +12,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.sparse import csc_matrix
 
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError, SolverError
@@ -19,9 +20,8 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.inference import clarabel, convex_program, nlp, sdp
-from hydroopt.estimation.inference.conditions import UPPER
-from hydroopt.estimation.inference.nearest_point import Cone, certify, cones, nearest_point
+from hydroopt.estimation.inference import clarabel, nlp
+from hydroopt.estimation.inference.convex_program import Cone, cones, nearest_point, semidefinite_program
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 
@@ -68,7 +68,7 @@ def test_impossible_principal_moments_solved_by_hand(one_body: OneBody) -> None:
     # (1, 1, 3) violates I_xx + I_yy >= I_zz by one: the nearest on that plane shifts each by a third of it
     problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
     for solution in (
-        sdp.semidefinite_program(problem, prior_only(problem), consistent=True),
+        semidefinite_program(problem, prior_only(problem), consistent=True),
         nlp.interior_point(problem, prior_only(problem)),
     ):
         np.testing.assert_allclose(solution.psi, [50, 0, 0, 0, 4 / 3, 0, 0, 4 / 3, 0, 8 / 3], atol=1e-5)
@@ -78,7 +78,7 @@ def test_impossible_principal_moments_solved_by_hand(one_body: OneBody) -> None:
 def test_negative_mass_becomes_the_lightest_body(one_body: OneBody) -> None:
     # without first moment the mass alone is wrong, and zero is the nearest that is not
     problem = one_body(np.array([1.0, 0, 0, 0, 2, 0, 0, 2, 0, 2])).with_prior("scale", "arm.m", value=-7.0, sigma=0.5)
-    solution = sdp.semidefinite_program(problem, prior_only(problem), consistent=True)
+    solution = semidefinite_program(problem, prior_only(problem), consistent=True)
     np.testing.assert_allclose(solution.psi, [0, 0, 0, 0, 2, 0, 0, 2, 0, 2], atol=1e-5)
 
 
@@ -102,7 +102,7 @@ def test_projection_on_possible_bodies_is_that_of_a_cholesky_factor(one_body: On
     best = min((least_squares(residual, rng.normal(0, 1, 10), ftol=1e-10, max_nfev=400) for _ in range(2)),
                key=lambda answer: answer.cost)
     problem = one_body(phi, sigma)
-    found = sdp.semidefinite_program(problem, prior_only(problem), consistent=True).psi
+    found = semidefinite_program(problem, prior_only(problem), consistent=True).psi
     np.testing.assert_allclose(found, phi + best.fun / weights, atol=2e-3)
     assert np.sum((weights * (found - phi)) ** 2) == pytest.approx(2 * best.cost, rel=1e-4)
 
@@ -282,47 +282,29 @@ def test_names_of_constraints_are_taken_once(noisy: IdentificationProblem) -> No
         once.subject_to("mine", lambda p: p["boom.m"] == 4)
 
 
-def test_certificate_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
+def test_clarabel_finds_what_cvxpy_finds(one_body: OneBody) -> None:
     problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
-    posterior = prior_only(problem)
+    within = cones(problem.requirements(consistent=True), prior_only(problem))
+    found = nearest_point(np.zeros(10), within, "test")
+    assert found is not None
     z = cp.Variable(10)
-    everything = [c for _, group in convex_program.constraints_of(problem, posterior, z, consistent=True)
-                  for c in group]
-    assert clarabel.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), everything), "test")
-    minimum = np.array(z.value)
-    clarabel.certify_convex(z, 2 * minimum, everything).trust("test")
-    for wrong in (1.05 * minimum, 0.95 * minimum, minimum + 0.01 * np.eye(10)[3]):
-        z.value = wrong
-        with pytest.raises(SolverError, match="failed our check"):
-            clarabel.certify_convex(z, 2 * wrong, everything).trust("test")
-    z.value = minimum
-    everything[0].dual_variables[0].save_value(0 * np.asarray(everything[0].dual_value))
-    with pytest.raises(SolverError, match="stationarity"):
-        clarabel.certify_convex(z, 2 * minimum, everything).trust("test")
+    cp.Problem(cp.Minimize(cp.sum_squares(z)), [cone.in_cvxpy(z) for cone in within]).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(found[0], z.value, atol=1e-6)
+    assert found[1] == {"physical consistency of arm"}
 
 
-def test_the_certificate_of_cones_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
-    problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
-    posterior = prior_only(problem)
-    within = cones(problem.requirements(consistent=True), posterior)
-    origin = np.zeros(10)
-    minimum = nearest_point(origin, within, "test").z
-    variable = cp.Variable(10)
-    everything = [c for _, group in convex_program.constraints_of(problem, posterior, variable, consistent=True)
-                  for c in group]
-    cp.Problem(cp.Minimize(cp.sum_squares(variable)), everything).solve(solver=cp.CLARABEL)
-    np.testing.assert_allclose(minimum, variable.value, atol=1e-6)
-    # multipliers of half the squared length, matrices by their triangles
-    multipliers = [np.asarray(c.dual_value).reshape(4, 4)[UPPER] / 2 if cone.matrix else np.ravel(c.dual_value) / 2
-                   for cone, c in zip(within, everything, strict=True)]
-    certify(minimum, multipliers, origin, within).trust("test")
-    for wrong in (1.05 * minimum, 0.95 * minimum, minimum + 0.01 * np.eye(10)[3]):
+def test_the_certificate_refuses_what_is_not_the_minimum() -> None:
+    """(0, 2) is the point nearest to (−1, 2) whose first coordinate is not negative, with the multiplier 1."""
+    program = csc_matrix(np.eye(2)), np.array([1.0, -2.0]), csc_matrix([[-1.0, 0.0]]), np.zeros(1)
+    right = np.array([0.0, 2.0]), np.zeros(1), np.ones(1)
+    clarabel.certificate(*program, *right).trust("test")
+    for wrong in (np.array([0.1, 2.0]), np.array([0.0, 1.9]), np.array([-1.0, 2.0])):
         with pytest.raises(SolverError, match="failed our check"):
-            certify(wrong, multipliers, origin, within).trust("test")
+            clarabel.certificate(*program, wrong, *right[1:]).trust("test")
     with pytest.raises(SolverError, match="stationarity"):
-        certify(minimum, [0 * part for part in multipliers], origin, within).trust("test")
+        clarabel.certificate(*program, *right[:2], np.zeros(1)).trust("test")
     with pytest.raises(SolverError, match="stationarity"):  # inside, where nothing holds it back
-        certify(minimum, multipliers, minimum, within).trust("test")
+        clarabel.certificate(*program, np.array([0.5, 2.0]), np.array([0.5]), np.array([1.5])).trust("test")
 
 
 def test_contradicting_cones_have_no_point() -> None:
@@ -342,10 +324,10 @@ def test_a_program_that_is_almost_solved_is_tried_another_way(monkeypatch: pytes
             scaled.append(self.given[-1].equilibrate_enable)
             first = len(scaled) == 1
             return SimpleNamespace(status="AlmostSolved" if first else found.status, x=np.array(found.x) - 1e-3 * first,
-                                   z=found.z)
+                                   s=found.s, z=found.z)
 
     monkeypatch.setattr(conic, "DefaultSolver", Tired)
     found = nearest_point(np.array([-1.0, 2.0]), [Cone("positive", False, np.zeros(1), np.array([[1.0, 0.0]]))], "test")
     assert found is not None
-    assert found.z == pytest.approx([0.0, 2.0], abs=1e-7)
+    assert found[0] == pytest.approx([0.0, 2.0], abs=1e-7)
     assert scaled == [False, True]

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -12,7 +13,8 @@ from fixtures.bad_input_cases import GOOD_LOG, identify, written
 from hydroopt.cli import app
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.dynamic.identify import identify as identified
-from hydroopt.estimation.inference.statements import read_constraint, read_prior
+from hydroopt.estimation.inference.constraints import Constraint, Expression
+from hydroopt.estimation.inference.statements import linear_relation, read_constraint, read_prior
 from hydroopt.machine.machine_file import load_machine
 
 PARAMETERS = ho.Model(load_machine("cat215b")).parameters
@@ -57,6 +59,24 @@ def test_a_constraint_says_what_is_written(text: str) -> None:
     assert size > 0
     assert np.allclose(condition.rows[0], size * expected, rtol=1e-12)
     assert np.allclose(condition.right, size * right, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("function", "text"), [
+    (lambda p: p["boom.m"] + p["stick.m"] == 2518, "boom.m + stick.m == 2518 kg"),
+    (lambda p: 2 * p["boom.m"] - p["stick.m"] / 4 <= 3000, "2*boom.m - 0.25*stick.m <= 3 t"),
+    (lambda p: p["boom.mc_x"] >= 1.2 * p["boom.m"] + 10, "boom.mc_x >= 1.2 m*boom.m + 10 kg*m")])
+def test_a_linear_function_says_what_a_text_says(function: Expression, text: str) -> None:
+    found, expected = linear_relation(PARAMETERS, Constraint("c", function)), read_constraint(PARAMETERS, "c", text)
+    assert found is not None
+    assert (found.name, found.kind) == ("c", expected.kind)
+    np.testing.assert_allclose(np.append(found.rows, found.right), np.append(expected.rows, expected.right), rtol=1e-12)
+
+
+@pytest.mark.parametrize("function", [
+    lambda p: p["boom.m"] * p["stick.m"] <= 1e6, lambda p: cp.square(p["boom.m"]) <= 1e6, lambda p: p["bom.m"] <= 1,
+    lambda p: p["boom.m"] <= np.inf, lambda p: 0 * p["boom.m"] <= 1, lambda p: p["boom.m"]])
+def test_other_functions_are_left_to_solvers(function: Expression) -> None:
+    assert linear_relation(PARAMETERS, Constraint("c", function)) is None
 
 
 @pytest.mark.parametrize("text", REFUSED)
