@@ -14,17 +14,14 @@ from typing import Any, NamedTuple
 import jinja2
 from markupsafe import Markup
 
-from hydroopt import errors
 from hydroopt.errors import visible
 from hydroopt.report import charts as figures
-from hydroopt.report import numbers
 from hydroopt.report.charts import Chart, Curves, Field, HeatMap, TimeChart
 from hydroopt.report.findings import findings
 from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.template_cache import TemplateCache
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
 """What a sentence shows as code: text between backticks, quoted commands, options."""
@@ -54,8 +51,7 @@ def _text(*path: str) -> str:
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_safe,
-        loader=jinja2.FunctionLoader(lambda part: _text("templates", part)),
-        bytecode_cache=TemplateCache(__file__, errors.__file__, numbers.__file__))
+        loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
     environment.filters["prose"] = prose
     environment.filters["words"] = words
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)

@@ -137,13 +137,6 @@ class ActuatorTriangles:
                          for folded, basis in zip(self.folded, self.bases, strict=True)])
 
 
-def compact(rows: Array) -> Array:
-    """At most as many rows as columns, with the same sums of squares."""
-    made = Triangles(1, rows.shape[1])
-    made.add([rows])
-    return made[0]
-
-
 def triangle(*blocks: Array) -> Array:
     """R, upper triangular, of the blocks A (m, k) stacked: ``‖R·v‖ = ‖A·v‖`` for every v (k,).
 
