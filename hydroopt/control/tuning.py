@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
+import control
 import numpy as np
+from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains, linear_feedback
-from hydroopt.control.linear_system import LinearSystem, closed_loop
-from hydroopt.control.loop_margins import STANDING, frequencies
+from hydroopt.control.loop_margins import STANDING, frequencies, response
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
@@ -46,36 +47,36 @@ where a load lightens along the motion, errors of the position grow unless the g
 class _Loops:
     """Responses of the plant at all points, and of all loops with given gains."""
 
-    def __init__(self, plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves) -> None:
-        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].period
+    def __init__(self, plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves) -> None:
+        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].dt
         omega = frequencies(self.period)
         self.z = np.exp(1j * omega * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
-        response = np.array([plant.response(self.z) for plant in plants])
+        moved = np.array([response(plant, self.z) for plant in plants])
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
         to_speed = np.array([slope.speed for slope in slopes])[:, None, :, None]
         self.shares = to_speed * np.array([self.axes.shares(point.lever_arm) for point in points])[:, None]
-        self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ response[:, :, :n]
-        self.force = to_speed * response[:, :, n:-1]
-        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * response[:, :, -1:]
+        self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ moved[:, :, :n]
+        self.force = to_speed * moved[:, :, n:-1]
+        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * moved[:, :, -1:]
 
     @cached_property
     def growth(self) -> float:
         """Of errors that grow steadily without feedback, at the point where they do so fastest [1/s]; zero if none do.
         """
         return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
-                   (plant.poles for plant in self.plants))
+                   (plant.poles() for plant in self.plants))
 
     @cached_property
     def free_growth(self) -> float:
         """Of all errors that grow without feedback, oscillating ones as well [1/s]."""
-        return max(_growth(plant.poles, self.period) for plant in self.plants)
+        return max(_growth(plant.poles(), self.period) for plant in self.plants)
 
     def grows_slower(self, gains: Gains, growth: float) -> bool:
         """Whether errors grow at no point faster than this [1/s] with all loops closed; zero asks that they die away.
         """
-        return all(_growth(closed_loop(plant, linear_feedback(
-            self.axes, self.valves, gains, self.period, point)).poles, self.period) <= growth
+        return all(_growth(control.feedback(plant, linear_feedback(
+            self.axes, self.valves, gains, self.period, point), sign=1).poles(), self.period) <= growth
                    for plant, point in zip(self.plants, self.points, strict=True))
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
@@ -238,7 +239,7 @@ class _Tuner:
         return best[0] > 0
 
 
-def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves,
+def tuned(plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves,
           largest: float = SENSITIVITY, progress: Progress = silent) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivities stay below their limits.
 
