@@ -13,11 +13,11 @@ from scipy.linalg import schur
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
-FREQUENCIES = 400
-"""Number of frequencies at which loops are analysed, up to half the sampling rate."""
+FREQUENCIES = 150
+"""Number of frequencies up to half the sampling rate at which loops are analysed, beside those about resonances."""
 SLOWEST = 2e-4
 """The lowest of these frequencies, as a part of the sampling rate."""
-LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-87.0, 88.0, 3.0)))
+LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-85.0, 86.0, 10.0)))
 """Damping ratio below which a pole is a resonance, and frequencies about it in damping ratios from its own: equal steps
 along the circle of its Nyquist curve."""
 STANDING = 1e-4
@@ -69,9 +69,9 @@ class Margin(NamedTuple):
                 "damping_without_feedback": self.undisturbed, "disk_margin": number(self.disk)}
 
 
-def frequencies(period: float) -> Array:
-    """[rad/s] at which loops are analysed."""
-    return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
+def frequencies(period: float, count: int = FREQUENCIES) -> Array:
+    """Frequencies [rad/s] in equal ratios up to half the sampling rate."""
+    return np.geomspace(2 * np.pi * SLOWEST, np.pi, count) / period
 
 
 def with_resonances(omega: Array, systems: Sequence[StateSpace]) -> Array:
@@ -112,18 +112,24 @@ def responses(plant: StateSpace, feedback: StateSpace, omega: Array) -> Array:
 
 def margins(plant: StateSpace, feedback: StateSpace, names: Sequence[str],
             where: str) -> tuple[list[Margin], Array, Array]:
-    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from."""
-    omega = frequencies(plant.dt)
+    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from.
+
+    Those about resonances are among them: the Nyquist curve runs through a circle within the width of one, which equal
+    ratios miss.
+    """
+    closed = control.feedback(plant, feedback, sign=1)
+    omega = with_resonances(frequencies(plant.dt), [plant, closed])
     L = responses(plant, feedback, omega)
-    damping = (*_least_damping(control.feedback(plant, feedback, sign=1)), _least_damping(plant, STANDING)[0])
+    damping = (*_least_damping(closed), _least_damping(plant, STANDING)[0])
     return [_margin(where, name, omega, curve, float(disk), damping)
             for name, curve, disk in zip(names, L, _disks(L), strict=True)], omega, L
 
 
 def disk_margins(plant: StateSpace, feedback: StateSpace) -> Array:
     """The disk margins (n,) of `margins` alone; zero where the closed loop is not stable."""
-    stable = _least_damping(control.feedback(plant, feedback, sign=1))[0] > 0
-    return _disks(responses(plant, feedback, frequencies(plant.dt))) * stable
+    closed = control.feedback(plant, feedback, sign=1)
+    omega = with_resonances(frequencies(plant.dt), [plant, closed])
+    return _disks(responses(plant, feedback, omega)) * (_least_damping(closed)[0] > 0)
 
 
 def _disks(L: Array) -> Array:

@@ -31,6 +31,8 @@ FORCE_GAINS = (0.0, *np.geomspace(0.01, 1.0, 9))
 """Force gains that are tried, as parts of the speed at full flow per largest force."""
 FILTER_TIMES = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Time constants [s] of low passes that are tried: they suppress feedback at resonances that it cannot damp."""
+FREQUENCIES = 400
+"""Number of frequencies at which sensitivities are computed."""
 SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
@@ -49,7 +51,7 @@ class _Loops:
 
     def __init__(self, plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves) -> None:
         self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].dt
-        omega = frequencies(self.period)
+        omega = frequencies(self.period, FREQUENCIES)
         self.z = np.exp(1j * omega * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
         moved = np.array([response(plant, self.z) for plant in plants])

@@ -138,3 +138,17 @@ def test_the_least_damping_is_that_of_an_oscillator() -> None:
     slower = sampled(control.ss(A[:2, :2], plant.B[:2], plant.C[:, :2], 0), np.zeros(1), PERIOD)
     (found,), _, _ = margins(slower, proportional(0.0), ["a"], "here")
     assert (found.damping, found.damping_at) == (pytest.approx(0.05, rel=1e-9), pytest.approx(3.0, rel=1e-9))
+
+
+def test_a_narrow_resonance_takes_what_its_circle_takes() -> None:
+    """A resonance with a damping ratio of 1e-4 between two of the frequencies: its Nyquist curve is a circle.
+
+    L = c·ω²/(s² + 2·ζ·ω·s + ω²), at ω equal to −j·c/(2·ζ): of radius c/(4·ζ), which passes −1 at the distance from its
+    centre less the radius.
+    """
+    omega, ratio, size = 11.7, 1e-4, 1e-4
+    A = np.array([[0.0, 1.0], [-omega**2, -2 * ratio * omega]])
+    plant = sampled(control.ss(A, [[0.0], [size * omega**2]], [[1.0, 0.0]], 0), np.zeros(1), 1e-3)
+    (found,), _, _ = margins(plant, control.ss([], [], [], -1, 1e-3), ["loop"], "here")
+    radius = size / (4 * ratio)
+    assert found.distance == pytest.approx(np.hypot(1, radius) - radius, rel=5e-3)
