@@ -22,7 +22,7 @@ from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Demands
-from hydroopt.control.sampled_plant import Linear, Point
+from hydroopt.control.sampled_plant import Point
 from hydroopt.control.setting import Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_sensitivity import LostMargin, lost_margins
@@ -340,7 +340,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
 
 
-def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: Linear,
+def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: Cascade | Lqg,
              demands: Demands) -> tuple[tuple[Margin, ...], Loops]:
     machine, names = demands.plant.machine, [each.actuator.name for each in demands.plant.actuators]
     joints = tuple(machine.joints.index(joint) for joint in demands.plant.drivers)

@@ -100,20 +100,17 @@ def design(plant: StateSpace, point: Point, valves: Valves, bandwidth: Array, no
         noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure; infinite for what
             the filter does not read.
     """
-    axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), plant.dt
+    axes, n = Axes(valves.plant), len(point.q)
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
     # the feedback of the supply pressure to the commands is part of the plant
     B = plant.B * slopes.speed
     A = A + plant.B @ np.outer(slopes.supply, C[-1])
     to_axes = axes.slopes(point.lever_arm) @ C[:n]
-    both = np.block([[A, np.zeros((size, m))], [period * to_axes, np.eye(m)]])
-    driven = np.vstack([B, np.zeros((m, B.shape[1]))])
     # a shared joint moves at the speeds of all its actuators together
     moved, wanted = np.linalg.norm(axes.shares(point.lever_arm), axis=0), BANDWIDTH_SHARE * bandwidth
-    weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
-                         np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
-    K, _, _ = control.dlqr(both, driven, weights.T @ weights, np.eye(driven.shape[1]))
+    weights = block_diag((moved * wanted)[:, None] * to_axes, np.diag(moved * wanted**2 / INTEGRAL_RATIO))
+    K, _, _ = control.dlqr(A, B, weights.T @ weights, np.eye(B.shape[1]), integral_action=plant.dt * to_axes)
     # the errors of the demanded forces drift; readings show them, commands do not answer to them; of a force that is
     # not measured there is none, since nothing would show it
     a, shown = B.shape[1], np.isfinite(noise[n:-1]).astype(float)

@@ -6,7 +6,7 @@ Commands are held between samples and delayed by the valves; both are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -55,13 +55,6 @@ class Point:
     lever_arm: Array
     supply: Array
     steady: Steady
-
-
-class Linear(Protocol):
-    """A controller that can be linearised."""
-
-    def linear(self, point: Point) -> StateSpace:
-        """The linear system from q, forces and supply pressure to commands."""
 
 
 def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array) -> Point:
