@@ -9,7 +9,7 @@ from hydroopt.errors import HydrooptError, ProblemError
 
 DISTRIBUTION = "hydroopt-calibration"
 """Name of the distribution that holds the package `hydroopt`; on the package index `hydroopt` is another project."""
-EXTRAS = {"control": "control", "dask": "cluster", "distributed": "cluster",
+EXTRAS = {"dask": "cluster", "distributed": "cluster",
           "pyarrow": "parquet",
           "mujoco": "mjcf", "h5py": "hdf5", "asammdf": "mdf", "mcap": "ros", "rosbags": "ros", "nptdms": "tdms",
           "python_calamine": "xlsx"}

@@ -47,7 +47,7 @@ ROOMS = (
 
 QUARANTINE = {
     "casadi": ("spatial", "machine", "kernels", "model", "limits", "codegen", "estimation", "excitation", "control"),
-    "control": ("control.python_control",),
+    "control": ("control",),
     "cvxpy": ("estimation.inference",),
     "piqp": ("excitation.motion.sqp",),
     "matplotlib": ("plots",),

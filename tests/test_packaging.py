@@ -46,7 +46,7 @@ def test_every_library_that_is_imported_is_installed_by_the_core_or_by_its_extra
     foreign = names - set(sys.stdlib_module_names) - {"hydroopt"}
     core = {PACKAGES.get(name, name) for name in foreign - EXTRAS.keys()}
     assert core - {"markupsafe"} == CORE.keys()  # jinja2 brings it
-    assert EXTRAS.keys() <= foreign | {"mujoco", "control", "pyarrow"}
+    assert EXTRAS.keys() <= foreign | {"mujoco", "pyarrow"}
     for library, extra in EXTRAS.items():
         assert PACKAGES.get(library, library) in OPTIONAL[extra]
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.linear_system import LinearSystem
+from hydroopt.control.linearisation import signals
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.kernels.one_sample import OneSample
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 SHORTEST = 1e-9
 """Time constant [s] of a low pass that passes everything."""
@@ -125,7 +129,7 @@ class Cascade:
         """Demanded speeds (a,) of the actuators."""
         return np.asarray(self.demand.preview.speed[k] + self._filtered)
 
-    def linear(self, point: Point) -> LinearSystem:
+    def linear(self, point: Point) -> StateSpace:
         """The linearised controller: from q, forces and supply pressure to commands.
 
         It has two kinds of states: the integral of each axis, and the filter of each actuator.
@@ -133,8 +137,10 @@ class Cascade:
         return linear_feedback(self.axes, self.valves, self.gains, self.period, point)
 
 
-def linear_feedback(axes: Axes, valves: Valves, gains: Gains, period: float, point: Point) -> LinearSystem:
+def linear_feedback(axes: Axes, valves: Valves, gains: Gains, period: float, point: Point) -> StateSpace:
     """What `Cascade.linear` returns, of any gains."""
+    import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
+
     pole = np.diag(np.exp(-period / np.maximum(gains.filter_time[axes.of], SHORTEST)))
     a, m, n = len(pole), len(gains.position), len(point.q)
     rest, along, shares = np.eye(a) - pole, axes.slopes(point.lever_arm), axes.shares(point.lever_arm)
@@ -144,10 +150,10 @@ def linear_feedback(axes: Axes, valves: Valves, gains: Gains, period: float, poi
     to_integral = np.hstack([-np.diag(period / gains.integral_time) @ along, np.zeros((m, a + 1))])
     by_integral = rest @ regulated
     supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-    return LinearSystem(
+    return control.ss(
         np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
         np.vstack([to_integral, rest @ to_feedback]),
         by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, period,
-        (*(f"{name}.integral" for name in axes.names), *(f"{each.actuator.name}.filtered" for each in
-                                                         axes.plant.actuators)),
-        readings(axes.plant), axes.plant.inputs)
+        states=signals([*(f"{name}.integral" for name in axes.names),
+                        *(f"{each.actuator.name}.filtered" for each in axes.plant.actuators)]),
+        inputs=readings(axes.plant), outputs=signals(axes.plant.inputs))

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
@@ -15,14 +16,13 @@ from hydroopt.control.closed_loop import simulate, tip
 from hydroopt.control.diagnostics import control_diagnostics, margin_diagnostics
 from hydroopt.control.draws import Draw, spread
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
-from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import Margin, margins, with_resonances
 from hydroopt.control.loops import Loops
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Demands
-from hydroopt.control.sampled_plant import Linear, Point
+from hydroopt.control.sampled_plant import Point
 from hydroopt.control.setting import Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_sensitivity import LostMargin, lost_margins
@@ -340,7 +340,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
 
 
-def _margins(plants: Sequence[LinearSystem], points: Sequence[Point], controller: Linear,
+def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: Cascade | Lqg,
              demands: Demands) -> tuple[tuple[Margin, ...], Loops]:
     machine, names = demands.plant.machine, [each.actuator.name for each in demands.plant.actuators]
     joints = tuple(machine.joints.index(joint) for joint in demands.plant.drivers)

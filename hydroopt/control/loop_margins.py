@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import control
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
+from control import StateSpace
+from scipy.linalg import schur
 
-from hydroopt.control.linear_system import LinearSystem, closed_loop
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
-FREQUENCIES = 400
-"""Number of frequencies at which loops are analysed, up to half the sampling rate."""
+FREQUENCIES = 150
+"""Number of frequencies up to half the sampling rate at which loops are analysed, beside those about resonances."""
 SLOWEST = 2e-4
 """The lowest of these frequencies, as a part of the sampling rate."""
-LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-87.0, 88.0, 3.0)))
+LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-85.0, 86.0, 10.0)))
 """Damping ratio below which a pole is a resonance, and frequencies about it in damping ratios from its own: equal steps
 along the circle of its Nyquist curve."""
 STANDING = 1e-4
@@ -68,61 +69,67 @@ class Margin(NamedTuple):
                 "damping_without_feedback": self.undisturbed, "disk_margin": number(self.disk)}
 
 
-def frequencies(period: float) -> Array:
-    """[rad/s] at which loops are analysed."""
-    return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
+def frequencies(period: float, count: int = FREQUENCIES) -> Array:
+    """Frequencies [rad/s] in equal ratios up to half the sampling rate."""
+    return np.geomspace(2 * np.pi * SLOWEST, np.pi, count) / period
 
 
-def with_resonances(omega: Array, systems: Sequence[LinearSystem]) -> Array:
+def with_resonances(omega: Array, systems: Sequence[StateSpace]) -> Array:
     """Frequencies [rad/s], and those about the resonances of sampled systems between the first and the last of them."""
     found = [omega]
     for system in systems:
-        poles = system.poles.astype(complex)
-        roots = np.log(poles[np.abs(poles) > 0]) / system.period
-        size, damping = np.abs(roots), np.abs(roots.real) / np.maximum(np.abs(roots), 1e-12)
-        light = (damping < LITTLE_DAMPING) & (roots.imag > 0)
+        size, damping, poles = _modes(system)
+        damping = np.abs(damping)
+        light = (damping < LITTLE_DAMPING) & (poles.imag > 0)
         found.append((size[light, None] * (1 + damping[light, None] * WIDTHS)).ravel())
     every = np.unique(np.concatenate(found))
     return np.asarray(every[(every >= omega[0]) & (every <= omega[-1])])
 
 
-def responses(plant: LinearSystem, feedback: LinearSystem, omega: Array) -> Array:
-    """L(jω) (n, ω) of each loop, cut at its command while all others are closed; negative feedback."""
-    z = np.exp(1j * omega * plant.period)
-    return one_by_one(feedback.response(z) @ plant.response(z))
+def response(system: StateSpace, z: Array) -> Array:
+    """Transfer matrices C·(z − A)⁻¹·B + D (ω, p, m) at points (ω,) of the z plane, or of the s plane.
+
+    The complex Schur form of A is triangular, so that all points share one decomposition (Laub 1981, with a triangle in
+    place of Hessenberg's form): a sixth of the time of `StateSpace.__call__`, which solves anew at every point.
+    """
+    T, U = schur(system.A, output="complex") if system.nstates else (system.A, system.A)
+    B, C = U.conj().T @ system.B, system.C @ U
+    X = np.zeros((len(T), len(z), B.shape[1]), dtype=complex)
+    for i in reversed(range(len(T))):
+        X[i] = (B[i] + np.tensordot(T[i, i + 1:], X[i + 1:], 1)) / (z - T[i, i])[:, None]
+    return np.asarray(np.moveaxis(np.tensordot(C, X, 1), 0, 1) + system.D)
 
 
-def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
-    """L (n, …) of each loop, or of some, from the responses (…, n, n) of all commands to commands through plant and
-    controller."""
-    n = G.shape[-1]
-    loops = []
-    for i in which or range(n):
-        others = [j for j in range(n) if j != i]
-        rest = np.eye(n - 1) - G[..., others, :][..., others]
-        through = G[..., i, others][..., None, :] @ np.linalg.solve(rest, G[..., others, i][..., None])
-        loops.append(-(G[..., i, i] + through[..., 0, 0]))
-    return np.array(loops)
+def responses(plant: StateSpace, feedback: StateSpace, omega: Array) -> Array:
+    """L(jω) (n, ω) of each loop, cut at its command while all others are closed; negative feedback.
+
+    The sensitivity of a loop to its own command, 1/(1 + L), is its entry on the diagonal of that of all loops.
+    """
+    z = np.exp(1j * omega * plant.dt)
+    sensitivity = np.linalg.inv(np.eye(plant.ninputs) - response(feedback, z) @ response(plant, z))
+    return np.asarray(1 / np.diagonal(sensitivity, axis1=1, axis2=2).T - 1)
 
 
-def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
+def margins(plant: StateSpace, feedback: StateSpace, names: Sequence[str],
             where: str) -> tuple[list[Margin], Array, Array]:
-    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from."""
-    omega = frequencies(plant.period)
+    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from.
+
+    Those about resonances are among them: the Nyquist curve runs through a circle within the width of one, which equal
+    ratios miss.
+    """
+    closed = control.feedback(plant, feedback, sign=1)
+    omega = with_resonances(frequencies(plant.dt), [plant, closed])
     L = responses(plant, feedback, omega)
-    damping = (*_least_damping(closed_loop(plant, feedback)), _least_damping(plant, STANDING)[0])
-    # cubic splines over the logarithm of the frequency
-    curves = CubicSpline(np.log(omega), np.stack([
-        L.real, L.imag, np.log(np.maximum(np.abs(L), 1e-300)), np.abs(1 + L)]), axis=-1)
-    nearest, disk = np.min(np.abs(1 + L), axis=1), _disks(L)
-    return [_margin(where, name, [PPoly.construct_fast(curves.c[..., k, i], curves.x) for k in range(4)],
-                    float(nearest[i]), damping, float(disk[i])) for i, name in enumerate(names)], omega, L
+    damping = (*_least_damping(closed), _least_damping(plant, STANDING)[0])
+    return [_margin(where, name, omega, curve, float(disk), damping)
+            for name, curve, disk in zip(names, L, _disks(L), strict=True)], omega, L
 
 
-def disk_margins(plant: LinearSystem, feedback: LinearSystem) -> Array:
+def disk_margins(plant: StateSpace, feedback: StateSpace) -> Array:
     """The disk margins (n,) of `margins` alone; zero where the closed loop is not stable."""
-    stable = _least_damping(closed_loop(plant, feedback))[0] > 0
-    return _disks(responses(plant, feedback, frequencies(plant.period))) * stable
+    closed = control.feedback(plant, feedback, sign=1)
+    omega = with_resonances(frequencies(plant.dt), [plant, closed])
+    return _disks(responses(plant, feedback, omega)) * (_least_damping(closed)[0] > 0)
 
 
 def _disks(L: Array) -> Array:
@@ -130,34 +137,36 @@ def _disks(L: Array) -> Array:
     return np.asarray(np.min(2 * np.abs(1 + L) / np.maximum(np.abs(1 - L), 1e-300), axis=1))
 
 
-def _least_damping(system: LinearSystem, standing: float = 0.0) -> tuple[float, float]:
+def _modes(system: StateSpace) -> tuple[Array, Array, Array]:
+    """Natural frequencies [rad/s], damping ratios and poles of a sampled system, without those of delays."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size, damping, poles = system.damp()
+    some = np.isfinite(size)
+    # a pole at 1 exactly neither grows nor decays
+    return size[some], np.nan_to_num(damping[some]), poles[some]
+
+
+def _least_damping(system: StateSpace, standing: float = 0.0) -> tuple[float, float]:
     """Least damping ratio of the poles of a sampled system, and the frequency [rad/s] of that pole; poles within
     `standing` of 1 do not count."""
-    poles = system.poles.astype(complex)
-    roots = np.log(poles[np.abs(poles - 1) >= standing] + 1e-300)
-    if not len(roots):
+    size, damping, poles = _modes(system)
+    damping = np.where(np.abs(poles - 1) >= standing, damping, np.inf)
+    if not np.any(np.isfinite(damping)):
         return 1.0, 0.0
-    size = np.maximum(np.abs(roots), 1e-12)
-    least = int(np.argmin(-roots.real / size))
-    return float(-roots.real[least] / size[least]), float(size[least] / system.period)
+    least = int(np.argmin(damping))
+    return float(damping[least]), float(size[least])
 
 
-def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: tuple[float, float, float],
-            disk: float) -> Margin:
-    """The margins of a loop L(jω) by curves of its real and imaginary parts, log |L| and |1 + L|, the least of which at
-    the frequencies themselves is `nearest`."""
-    real, imaginary, size, distance = curves
-    at_180 = imaginary.roots(extrapolate=False)
-    at_180 = at_180[real(at_180) < 0]
-    gains = -1 / real(at_180)
+def _margin(where: str, name: str, omega: Array, L: Array, disk: float, damping: tuple[float, float, float]) -> Margin:
+    """The margins of a loop by its response L(jω) (ω,), with the disk margin that it has there."""
+    curve = control.FrequencyResponseData(L, omega, smooth=True)
+    gains, phases, distances, at_180, at_one, _ = control.stability_margins(curve, returnall=True)
     # for an unstable loop the factor that would stabilise it
     own = (gains > 1) == (damping[0] >= 0)
     gain, gain_at = _nearest(gains[own], at_180[own], np.abs(np.log(gains[own])))
-    at_one = size.roots(extrapolate=False)
-    phases = np.abs(np.angle(-real(at_one) - 1j * imaginary(at_one)))
+    phases = np.abs(np.radians(phases))
     phase, phase_at = _nearest(phases, at_one, phases)
-    turning = distance.derivative().roots(extrapolate=False)
-    least = float(np.min(distance(turning), initial=nearest))
+    least = float(np.min(distances, initial=np.min(np.abs(1 + L))))
     return Margin(where, name, gain, gain_at, phase, phase_at, least, *damping, disk)
 
 
@@ -166,4 +175,4 @@ def _nearest(margin: Array, at: Array, measure: Array) -> tuple[float, float]:
     if not len(measure):
         return np.inf, np.nan
     k = int(np.argmin(measure))
-    return float(margin[k]), float(np.exp(at[k]))
+    return float(margin[k]), float(at[k])

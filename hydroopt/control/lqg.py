@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import control
 import numpy as np
-from scipy.linalg import block_diag, solve_discrete_are
+from control import StateSpace
+from scipy.linalg import block_diag
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.linear_system import LinearSystem
+from hydroopt.control.linearisation import signals
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.tuning import INTEGRAL_RATIO
@@ -84,7 +86,7 @@ class Schedule:
         return Matrices(*(np.tensordot(weight / weight.sum(), part, axes=1) for part in self._parts))
 
 
-def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
+def design(plant: StateSpace, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
     """Regulator and Kalman filter by their Riccati equations (Åström and Wittenmark 1997).
 
     The weights are those with which an axis that is a pure integrator gets the position gain
@@ -98,20 +100,17 @@ def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, 
         noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure; infinite for what
             the filter does not read.
     """
-    axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), plant.period
+    axes, n = Axes(valves.plant), len(point.q)
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
     # the feedback of the supply pressure to the commands is part of the plant
     B = plant.B * slopes.speed
     A = A + plant.B @ np.outer(slopes.supply, C[-1])
     to_axes = axes.slopes(point.lever_arm) @ C[:n]
-    both = np.block([[A, np.zeros((size, m))], [period * to_axes, np.eye(m)]])
-    driven = np.vstack([B, np.zeros((m, B.shape[1]))])
     # a shared joint moves at the speeds of all its actuators together
     moved, wanted = np.linalg.norm(axes.shares(point.lever_arm), axis=0), BANDWIDTH_SHARE * bandwidth
-    weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
-                         np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
-    K = regulator(both, driven, weights.T @ weights)
+    weights = block_diag((moved * wanted)[:, None] * to_axes, np.diag(moved * wanted**2 / INTEGRAL_RATIO))
+    K, _, _ = control.dlqr(A, B, weights.T @ weights, np.eye(B.shape[1]), integral_action=plant.dt * to_axes)
     # the errors of the demanded forces drift; readings show them, commands do not answer to them; of a force that is
     # not measured there is none, since nothing would show it
     a, shown = B.shape[1], np.isfinite(noise[n:-1]).astype(float)
@@ -123,15 +122,10 @@ def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, 
     measured = np.isfinite(noise)
     L = np.zeros((size + a, len(noise)))
     scaled = C[measured] / noise[measured, None]
-    L[:, measured] = regulator(A.T, scaled.T, disturbed @ disturbed.T).T / noise[measured]
+    gain, _, _ = control.dlqr(A.T, scaled.T, disturbed @ disturbed.T, np.eye(len(scaled)))  # of the dual system
+    L[:, measured] = gain.T / noise[measured]
     errors = (f"{each.actuator.name}.force_error" for each in valves.plant.actuators)
-    return Design(point, Matrices(A, B, C, K, L), tuple(f"{name}_estimated" for name in (*plant.states, *errors)))
-
-
-def regulator(A: Array, B: Array, Q: Array) -> Array:
-    """Feedback K (m, n) of x⁺ = A·x + B·u for which the sum of x'·Q·x + u'·u is least."""
-    P = solve_discrete_are(A, B, Q, np.eye(B.shape[1]))
-    return np.asarray(np.linalg.solve(np.eye(B.shape[1]) + B.T @ P @ B, B.T @ P @ A))
+    return Design(point, Matrices(A, B, C, K, L), tuple(f"{name}_estimated" for name in (*plant.state_labels, *errors)))
 
 
 def reading_noise(plant: Plant) -> Array:
@@ -190,7 +184,7 @@ class Lqg:
         self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
         return command
 
-    def linear(self, point: Point) -> LinearSystem:
+    def linear(self, point: Point) -> StateSpace:
         """The linearised controller, with the gains that it has at the point: from q, forces and supply pressure to
         commands."""
         matrices, size = self.schedule.at(point.q, point.speed), self._size
@@ -203,6 +197,6 @@ class Lqg:
         along = self.period * self.axes.slopes(point.lever_arm)
         B = np.vstack([matrices.filter, np.hstack([along, np.zeros((m, a + 1))])])
         D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return LinearSystem(A, B, -by_speed @ feedback, D, self.period,
-                            (*self._states, *(f"{name}.integral" for name in self.axes.names)),
-                            readings(self.axes.plant), self.axes.plant.inputs)
+        return control.ss(A, B, -by_speed @ feedback, D, self.period,
+                          states=signals([*self._states, *(f"{name}.integral" for name in self.axes.names)]),
+                          inputs=readings(self.axes.plant), outputs=signals(self.axes.plant.inputs))

@@ -6,13 +6,16 @@ Commands are held between samples and delayed by the valves; both are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hydroopt.control.linear_system import LinearSystem
+from hydroopt.control.linearisation import signals
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from control import StateSpace
 
 
 class Reading(NamedTuple):
@@ -54,13 +57,6 @@ class Point:
     steady: Steady
 
 
-class Linear(Protocol):
-    """A controller that can be linearised."""
-
-    def linear(self, point: Point) -> LinearSystem:
-        """The linear system from q, forces and supply pressure to commands."""
-
-
 def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array) -> Point:
     """A point of steady motion.
 
@@ -74,12 +70,14 @@ def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array
     return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
 
 
-def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> LinearSystem:
+def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> StateSpace:
     """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
 
     States are deviations from the motion. The change of lever arms along the motion is left out: it only changes the
     ratio between errors of lengths and of angles and amplifies none. A base does not move, and has no states.
     """
+    import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
+
     n, scale, names, at = len(plant.machine.joints), plant.scale, plant.states, operating_point.steady
     A, B = (np.asarray(part) for part in plant.jacobians(at.x, at.u, operating_point.supply, psi, theta))
     A[[".p_" in name for name in names], :n] = 0.0
@@ -91,59 +89,43 @@ def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -
     base = {f"{joint}.{kind}" for joint in plant.machine.base_joints for kind in ("q", "qd")}
     kept = [k for k, name in enumerate(names) if name not in base]
     A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
-    return LinearSystem(A[np.ix_(kept, kept)], B[kept], C[:, kept], np.zeros((len(C), B.shape[1])), 0.0,
-                        tuple(names[k] for k in kept), plant.inputs, readings(plant))
+    return control.ss(A[np.ix_(kept, kept)], B[kept], C[:, kept], 0, states=signals(names[k] for k in kept),
+                      inputs=signals(plant.inputs), outputs=readings(plant))
 
 
-def readings(plant: Plant) -> tuple[str, ...]:
+def readings(plant: Plant) -> list[str]:
     """Names of what linear controllers read: positions of the joints, forces of the actuators, the supply's pressure.
     """
     names = (*(f"{joint}.q" for joint in plant.machine.joints),
              *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply")
-    return tuple(f"{name}_measured" for name in names)
+    return signals(f"{name}_measured" for name in names)
 
 
-def sampled(system: LinearSystem, delays: Array, period: float) -> LinearSystem:
+def sampled(system: StateSpace, delays: Array, period: float) -> StateSpace:
     """A system whose commands are held from sample to sample and arrive later by `delays` (n,) [s].
 
-    Commands that do not act yet are additional states (Åström and Wittenmark 1997).
-    """
-    from scipy.linalg import expm  # noqa: PLC0415 — it takes longer to load than C to be written
+    Commands wait in shift registers, whose entries are additional states (Åström and Wittenmark 1997).
 
-    A, B = system.A, system.B
+    Args:
+        system: in continuous time, without direct feedthrough.
+        delays: of its commands (n,) [s].
+        period: of the samples [s].
+    """
+    import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
+
     whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
     part = np.round(np.maximum(delays - whole * period, 0.0), 12)
-    size, n = len(A), B.shape[1]
-
-    def over(seconds: float) -> tuple[Array, Array]:
-        if seconds <= 0:
-            return np.eye(size), np.zeros_like(B)
-        both = expm(seconds * np.block([[A, B], [np.zeros((n, size + n))]]))
-        return both[:size, :size], both[:size, size:]
-
-    count = whole + (part > 0)
-    waiting = [(k, j) for k in range(n) for j in range(count[k], 0, -1)]
-    place = {entry: size + i for i, entry in enumerate(waiting)}
-    new_A, new_B = np.zeros((size + len(waiting),) * 2), np.zeros((size + len(waiting), n))
-    new_A[:size, :size] = over(period)[0]
-
-    def enter(k: int, ago: int, effect: Array) -> None:
-        if ago:
-            new_A[:size, place[k, ago]] = effect
-        else:
-            new_B[:size, k] = effect
-
-    for k in range(n):
-        rest, late = over(period - part[k])
-        enter(k, whole[k], late[:, k])
-        if part[k] > 0:
-            enter(k, count[k], rest @ over(part[k])[1][:, k])
-        for j in range(1, count[k] + 1):
-            if j == 1:
-                new_B[place[k, j], k] = 1.0
-            else:
-                new_A[place[k, j], place[k, j - 1]] = 1.0
-    names = [f"{system.inputs[k]}_{j}_samples_ago" for k, j in waiting] if system.inputs else []
-    return LinearSystem(
-        new_A, new_B, np.hstack([system.C, np.zeros((len(system.C), len(waiting)))]), system.D, period,
-        (*system.states, *names), system.inputs, system.outputs)
+    held = control.sample_system(system, period, "zoh")
+    # by those of two successive commands that act in a period, the later one first
+    by_command = np.stack([held.B, np.zeros_like(held.B)], axis=2)
+    for k in np.flatnonzero(part).tolist():
+        first, rest = (control.sample_system(system, seconds, "zoh") for seconds in (part[k], period - part[k]))
+        by_command[:, k] = np.column_stack([rest.B[:, k], rest.A @ first.B[:, k]])
+    registers, names = [], []
+    for k, count in enumerate((whole + (part > 0)).tolist()):
+        entries = np.eye(count + 1)[[whole[k], count]]
+        registers.append(control.ss(np.eye(count, k=-1), np.eye(count, 1), entries[:, 1:], entries[:, :1], period))
+        names += [f"{system.input_labels[k]}_{j}_samples_ago" for j in range(1, count + 1)]
+    acting = control.ss(held.A, by_command.reshape(len(held.A), -1), held.C, 0, period)
+    return control.ss(acting * control.append(*registers), states=[*names, *system.state_labels],
+                      inputs=system.input_labels, outputs=system.output_labels)

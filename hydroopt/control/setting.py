@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from control import StateSpace
 
 from hydroopt.control.feasibility import steady_speeds
-from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
@@ -124,7 +124,7 @@ class Setting:
                 continue
         return on_motion, in_workspace
 
-    def plants(self, plant: Plant, points: Sequence[Point], psi: Array, theta: Array) -> list[LinearSystem]:
+    def plants(self, plant: Plant, points: Sequence[Point], psi: Array, theta: Array) -> list[StateSpace]:
         """A sampled plant with its valves' delays about each point."""
         return [sampled(linearised(plant, each, psi, theta), plant.delays, 1 / self.rate) for each in points]
 

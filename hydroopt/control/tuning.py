@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
+import control
 import numpy as np
+from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains, linear_feedback
-from hydroopt.control.linear_system import LinearSystem, closed_loop
-from hydroopt.control.loop_margins import STANDING, frequencies
+from hydroopt.control.loop_margins import STANDING, frequencies, response
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
@@ -30,6 +31,8 @@ FORCE_GAINS = (0.0, *np.geomspace(0.01, 1.0, 9))
 """Force gains that are tried, as parts of the speed at full flow per largest force."""
 FILTER_TIMES = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Time constants [s] of low passes that are tried: they suppress feedback at resonances that it cannot damp."""
+FREQUENCIES = 400
+"""Number of frequencies at which sensitivities are computed."""
 SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
@@ -46,36 +49,36 @@ where a load lightens along the motion, errors of the position grow unless the g
 class _Loops:
     """Responses of the plant at all points, and of all loops with given gains."""
 
-    def __init__(self, plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves) -> None:
-        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].period
-        omega = frequencies(self.period)
+    def __init__(self, plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves) -> None:
+        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].dt
+        omega = frequencies(self.period, FREQUENCIES)
         self.z = np.exp(1j * omega * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
-        response = np.array([plant.response(self.z) for plant in plants])
+        moved = np.array([response(plant, self.z) for plant in plants])
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
         to_speed = np.array([slope.speed for slope in slopes])[:, None, :, None]
         self.shares = to_speed * np.array([self.axes.shares(point.lever_arm) for point in points])[:, None]
-        self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ response[:, :, :n]
-        self.force = to_speed * response[:, :, n:-1]
-        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * response[:, :, -1:]
+        self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ moved[:, :, :n]
+        self.force = to_speed * moved[:, :, n:-1]
+        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * moved[:, :, -1:]
 
     @cached_property
     def growth(self) -> float:
         """Of errors that grow steadily without feedback, at the point where they do so fastest [1/s]; zero if none do.
         """
         return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
-                   (plant.poles for plant in self.plants))
+                   (plant.poles() for plant in self.plants))
 
     @cached_property
     def free_growth(self) -> float:
         """Of all errors that grow without feedback, oscillating ones as well [1/s]."""
-        return max(_growth(plant.poles, self.period) for plant in self.plants)
+        return max(_growth(plant.poles(), self.period) for plant in self.plants)
 
     def grows_slower(self, gains: Gains, growth: float) -> bool:
         """Whether errors grow at no point faster than this [1/s] with all loops closed; zero asks that they die away.
         """
-        return all(_growth(closed_loop(plant, linear_feedback(
-            self.axes, self.valves, gains, self.period, point)).poles, self.period) <= growth
+        return all(_growth(control.feedback(plant, linear_feedback(
+            self.axes, self.valves, gains, self.period, point), sign=1).poles(), self.period) <= growth
                    for plant, point in zip(self.plants, self.points, strict=True))
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
@@ -238,7 +241,7 @@ class _Tuner:
         return best[0] > 0
 
 
-def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves,
+def tuned(plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves,
           largest: float = SENSITIVITY, progress: Progress = silent) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivities stay below their limits.
 

@@ -70,5 +70,5 @@ def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array
 def _disks(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array) -> Array:
     """Disk margins (a,) of the loops of a machine with other numbers."""
     moved = point(plant, at.name, at.q, at.qd, psi, theta)
-    held = sampled(linearised(plant, moved, psi, theta), plant.delays, loops.plant.period)
+    held = sampled(linearised(plant, moved, psi, theta), plant.delays, loops.plant.dt)
     return disk_margins(held, loops.feedback)

@@ -29,7 +29,7 @@ def loops(comparison: Comparison) -> Figure:
     """
     shown = comparison.kinds_of_loops
     names = [each.actuator.name for each in comparison.setting.plant.actuators]
-    joints = shown[0].loops.closed.outputs
+    joints = shown[0].loops.closed.output_labels
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 2.1 * max(len(names), len(shown))), layout="constrained")
         axes = figure.subplots(max(len(names), len(shown)), len(COLUMNS), squeeze=False)

@@ -21,6 +21,7 @@ from hydroopt.control import closed_loop
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
+from hydroopt.control.loop_margins import response
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import linearised, point, sampled
@@ -194,11 +195,11 @@ def gain_margin(plant: Plant, motion: Trajectory) -> float:
             here = np.asarray(model.forward_kinematics(q)[-1])[2, 3]
             touching = Plant(model, floor(here + FORCE / stiffness - SURFACE, stiffness))
             at = point(touching, "sliding", q, speed, psi, theta)
-            response = sampled(linearised(touching, at, psi, theta), delays, 1 / RATE).response(z)[:, 3:6]
+            moved = response(sampled(linearised(touching, at, psi, theta), delays, 1 / RATE), z)[:, 3:6]
             slopes = Valves(touching, theta).slopes(at.speed, at.length, at.pressure, at.supply)
             to_tip = np.asarray(model.tip_jacobian(q))[:3] @ np.linalg.inv(at.lever_arm)
             across = np.linalg.solve(to_tip, -NORMAL)
-            L = feedback * np.einsum("i,wij,j->w", np.linalg.solve(to_tip.T, np.eye(3)).T @ -NORMAL, response,
+            L = feedback * np.einsum("i,wij,j->w", np.linalg.solve(to_tip.T, np.eye(3)).T @ -NORMAL, moved,
                                      slopes.speed * across)
             turns = np.flatnonzero((np.diff(np.sign(L.imag)) != 0) & (L.real[:-1] < 0))
             largest = max([largest, *np.abs(L[turns])])

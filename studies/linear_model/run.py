@@ -4,8 +4,7 @@ import control
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.control.linear_system import signal
-from hydroopt.control.linearisation import state_space
+from hydroopt.control.linearisation import signals, state_space
 from hydroopt.model.plant import Plant
 
 MACHINES = ("cat215b", "patu655_lift")
@@ -93,7 +92,7 @@ def frequencies(plant):
             for f in HERTZ:
                 carrier = np.exp(-2j * np.pi * f * t[last])
                 gain = (speed @ carrier) / ((u[last, k] - at.u[k]) @ carrier)
-                said = sampled[signal(f"{joint}.qd"), signal(plant.inputs[k])](np.exp(2j * np.pi * f * SAMPLE))
+                said = sampled[tuple(signals([f"{joint}.qd", plant.inputs[k]]))](np.exp(2j * np.pi * f * SAMPLE))
                 worst = max(worst, float(abs(gain - said) / abs(said)))
     return worst
 

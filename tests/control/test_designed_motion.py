@@ -30,7 +30,7 @@ def test_a_motion_at_the_limit_of_the_pump_is_accepted_at_any_rate_of_the_contro
     """Read again from its file; a motion that is faster by the reserve of a design and one per cent more is refused."""
     machine = read_machine(CAT.replace('"300 L/min"', '"60 L/min"'))
     problem = excitation_problem(machine, Fourier(8.0, 3, 1, 2.0), rate=50.0, resting={"swing": 0.0})
-    found = solve(problem, starts=1, seconds=4.0, seed=1)
+    found = solve(problem, starts=1, search_seconds=4.0, seed=1)
     path, joints = found.trajectory, machine.joints
     write_columns(tmp_path / "trajectory.csv", {"t [s]": path.t} | {
         f"{joint}.{order} [{unit}]": values[:, k] for k, joint in enumerate(joints)

@@ -1,11 +1,11 @@
 """Which motions the pump sustains."""
 
+import control
 import numpy as np
 import pytest
 
 from hydroopt import Model, Plant, load_machine
 from hydroopt.control.feasibility import SPARE, flow_demand, refuse_unstable, steady_speeds
-from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import margins
 from hydroopt.control.sampled_plant import sampled
 from hydroopt.errors import ProblemError
@@ -56,9 +56,8 @@ def test_faster_joints_are_slowed_until_the_flow_suffices() -> None:
 def test_a_loop_is_refused_if_its_errors_grow_to_e_times_within_the_motion(duration: float, refused: bool) -> None:
     """A pendulum that grows by exp(t/40): an undamped hook may, while a motion passes a posture."""
     growing, period = np.array([[1 / 40, 3.0], [-3.0, 1 / 40]]), 0.01
-    plant = sampled(LinearSystem(growing, np.array([[0.0], [1.0]]), np.eye(2)[:1], np.zeros((1, 1)), 0.0),
-                    np.zeros(1), period)
-    none = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), period)
+    plant = sampled(control.ss(growing, [[0.0], [1.0]], np.eye(2)[:1], 0), np.zeros(1), period)
+    none = control.ss([], [], [], 0, period)
     found = margins(plant, none, ["loop"], "motion at 1.0 s")[0]
     assert found[0].growth == pytest.approx(1 / 40, rel=1e-6)
     if refused:

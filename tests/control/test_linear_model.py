@@ -7,8 +7,7 @@ from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
-from hydroopt.control.linear_system import signal
-from hydroopt.control.linearisation import state_space
+from hydroopt.control.linearisation import signals, state_space
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import mode, sweeps, top_speed
@@ -26,7 +25,7 @@ def crane():
 def test_signals_have_names(crane):
     plant, psi, theta = crane
     system = state_space(plant, plant.steady(np.array([0.4]), np.array([0.02]), psi, theta), psi, theta)
-    assert system.state_labels == [signal(name) for name in plant.states]
+    assert system.state_labels == signals(plant.states)
     assert (system.input_labels, system.output_labels) == (["lift_cylinder_u"], ["lift_q"])
 
 

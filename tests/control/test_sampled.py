@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.linear_system import LinearSystem, closed_loop
-from hydroopt.control.loop_margins import margins
+from hydroopt.control.loop_margins import margins, response
+from hydroopt.control.loops import Loops
 from hydroopt.control.sampled_plant import sampled
 
 PERIOD = 0.02
-ONE = np.ones((1, 1))
-INTEGRATOR = LinearSystem(0 * ONE, ONE, ONE, 0 * ONE, 0.0)
+INTEGRATOR = control.ss(0, 1, 1, 0)
 
 
-def proportional(gain: float) -> LinearSystem:
+def proportional(gain: float) -> control.StateSpace:
     """u = −gain·y."""
-    return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -gain * ONE, PERIOD)
+    return control.ss([], [], [], -gain, PERIOD)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.008, 0.02, 0.034])
@@ -58,16 +57,17 @@ def test_stability_ends_where_the_characteristic_polynomial_says(gain: float, st
     (found,), _, _ = margins(plant, proportional(gain), ["loop"], "here")
     assert (found.damping > 0) == stable
     roots = np.roots([1, -1, gain * PERIOD])
-    assert_allclose(np.sort_complex(closed_loop(plant, proportional(gain)).poles), np.sort_complex(roots), atol=1e-9)
+    closed = control.feedback(plant, proportional(gain), sign=1).poles()
+    assert_allclose(np.sort_complex(closed), np.sort_complex(roots), atol=1e-9)
     # of an unstable loop the factor that would bring it back
     assert found.gain == pytest.approx(50 / gain, rel=1e-2)
 
 
 def test_a_loop_is_cut_while_the_others_stay_closed() -> None:
     """Two integrators, the second of which also feels the first: closing one loop leaves a first-order lag."""
-    plant = LinearSystem(np.zeros((2, 2)), np.array([[1.0, 0.5], [0.3, 1.0]]), np.eye(2), np.zeros((2, 2)), 0.0)
+    plant = control.ss(np.zeros((2, 2)), [[1.0, 0.5], [0.3, 1.0]], np.eye(2), 0)
     gains = np.array([3.0, 7.0])
-    feedback = LinearSystem(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), -np.diag(gains), PERIOD)
+    feedback = control.ss([], [], [], -np.diag(gains), PERIOD)
     _, omega, L = margins(sampled(plant, np.zeros(2), PERIOD), feedback, ["a", "b"], "here")
     # x1+ = x1 + h·(u1 + u2/2), x2+ = x2 + h·(0.3·u1 + u2), u2 = −7·x2: solved for x1 by u1
     z = np.exp(1j * omega * PERIOD)
@@ -76,48 +76,29 @@ def test_a_loop_is_cut_while_the_others_stay_closed() -> None:
 
 
 @pytest.fixture(scope="module", params=range(3))
-def loop(request: pytest.FixtureRequest) -> tuple[LinearSystem, LinearSystem]:
+def loop(request: pytest.FixtureRequest) -> tuple[control.StateSpace, control.StateSpace]:
     """A resonant plant of two commands and three outputs, held and delayed, and a stable feedback with states."""
     rng = np.random.default_rng(request.param)
     A = rng.standard_normal((5, 5))
     A -= (np.max(np.linalg.eigvals(A).real) + 0.3) * np.eye(5)
-    plant = LinearSystem(A, rng.standard_normal((5, 2)), rng.standard_normal((3, 5)), np.zeros((3, 2)), 0.0)
-    feedback = LinearSystem(np.diag([1.0, 0.6]), 0.02 * rng.standard_normal((2, 3)), np.eye(2),
-                            0.2 * rng.standard_normal((2, 3)), 0.1)
+    plant = control.ss(A, rng.standard_normal((5, 2)), rng.standard_normal((3, 5)), 0, inputs=["u", "v"],
+                       outputs=["a_measured", "b_measured", "c_measured"])
+    feedback = control.ss(np.diag([1.0, 0.6]), 0.02 * rng.standard_normal((2, 3)), np.eye(2),
+                          0.2 * rng.standard_normal((2, 3)), 0.1, states=["i", "j"])
     return sampled(plant, np.array([0.13, 0.05]), 0.1), feedback
 
 
-def test_responses_are_those_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
+def test_responses_are_those_of_python_control(loop: tuple[control.StateSpace, control.StateSpace]) -> None:
     z = np.exp(1j * np.geomspace(1e-3, np.pi, 50))
     for system in loop:
-        expected = np.moveaxis(system.python_control()(z, squeeze=False), 2, 0)
-        assert_allclose(system.response(z), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        expected = np.moveaxis(system(z, squeeze=False), 2, 0)
+        assert_allclose(response(system, z), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_a_held_system_is_that_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
-    rng = np.random.default_rng(3)
-    system = LinearSystem(*(rng.standard_normal(size) for size in ((4, 4), (4, 2), (1, 4))), np.zeros((1, 2)), 0.0,
-                          ("a.q", "b", "c", "d"), ("u.1", "u.2"), ("y",))
-    held, expected = sampled(system, np.zeros(2), 0.1), control.sample_system(system.python_control(), 0.1, "zoh")
-    assert_allclose(held.A, expected.A, atol=1e-12)
-    assert_allclose(held.B, expected.B, atol=1e-12)
-    assert (expected.state_labels, expected.input_labels) == (["a_q", "b", "c", "d"], ["u_1", "u_2"])
-
-
-def test_margins_and_poles_are_those_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
-    plant, feedback = loop
-    found, omega, L = margins(plant, feedback, ["a", "b"], "here")
-    closed = control.feedback(plant.python_control(), feedback.python_control(), sign=1).poles()
-    assert_allclose(np.sort_complex(closed_loop(plant, feedback).poles), np.sort_complex(closed), atol=1e-6)
-    for margin, curve in zip(found, L, strict=True):
-        gains, phases, distances, *_ = control.stability_margins(
-            control.FrequencyResponseData(curve, omega, smooth=True), returnall=True)
-        own = [g for g in gains if (g > 1) == (margin.damping >= 0)]
-        assert margin.gain == pytest.approx(min(own, key=lambda g: abs(np.log(g)), default=np.inf), rel=1e-3)
-        assert np.degrees(margin.phase) == pytest.approx(min(abs((p + 180) % 360 - 180) for p in phases)
-                                                         if len(phases) else np.inf, rel=1e-3)
-        assert margin.distance <= min(distances) * (1 + 1e-3)
-        assert margin.distance == pytest.approx(min(*distances, *np.abs(1 + curve)), rel=1e-3)
+def test_commands_that_wait_have_names(loop: tuple[control.StateSpace, control.StateSpace]) -> None:
+    plant, _ = loop
+    assert plant.state_labels[:3] == ["u_1_samples_ago", "u_2_samples_ago", "v_1_samples_ago"]
+    assert (plant.input_labels, plant.output_labels) == (["u", "v"], ["a_measured", "b_measured", "c_measured"])
 
 
 @pytest.mark.parametrize("gain", [2.0, 10.0, 25.0])
@@ -128,38 +109,46 @@ def test_disk_margin_is_that_of_python_control(gain: float) -> None:
     assert found.disk == pytest.approx(float(control.disk_margins(loop, omega, skew=0.0)[0]), rel=1e-6)
 
 
-def test_steps_poles_and_zeros_of_closed_loops_are_those_of_python_control(
-        loop: tuple[LinearSystem, LinearSystem]) -> None:
-    """From references of two outputs to these; python-control sees the feedback fed by three readings less both."""
+def test_closed_loops_answer_to_steps_as_plant_and_feedback_do(
+        loop: tuple[control.StateSpace, control.StateSpace]) -> None:
+    """References of two outputs are subtracted from the readings, sample by sample."""
     plant, feedback = loop
-    closed = closed_loop(plant, feedback, (0, 2), ("a.q", "c.q"))
-    chosen = control.ss([], [], [], np.eye(3)[:, [0, 2]], 0.1)
-    forward = control.series(-1 * chosen, feedback.python_control(), plant.python_control())
-    back = control.feedback(control.ss([], [], [], np.eye(3), 0.1), plant.python_control() * feedback.python_control(),
-                            sign=1)
-    expected = control.ss([], [], [], np.eye(3)[[0, 2]], 0.1) * back * forward
-    t = np.arange(60) * 0.1
-    assert_allclose(closed.steps(60), np.moveaxis(control.step_response(expected, t).outputs, 2, 0), atol=1e-9)
-    own = closed.python_control()
-    assert (own.input_labels, own.output_labels) == (["a_q_reference", "c_q_reference"], ["a_q", "c_q"])
-    assert_allclose(np.sort_complex(closed.poles), np.sort_complex(own.poles()), atol=1e-9)
-    for zero in closed.zeros:
-        pencil = np.block([[closed.A - zero * np.eye(len(closed.A)), closed.B], [closed.C, closed.D]])
-        sizes = np.linalg.svd(pencil, compute_uv=False)
-        assert sizes[-1] < 1e-7 * sizes[0]
-    # at any other place outputs can be had
-    other = np.block([[closed.A - 0.37 * np.eye(len(closed.A)), closed.B], [closed.C, closed.D]])
-    assert np.linalg.svd(other, compute_uv=False)[-1] > 1e-6
+    found = Loops("here", np.ones(1), np.ones((2, 1)), plant, feedback, (0, 2))
+    t, y = found.steps(6.0)
+    assert (found.closed.input_labels, found.closed.output_labels) == (["a_reference", "c_reference"], ["a", "c"])
+    for own, place in enumerate((0, 2)):
+        x, state, reference = np.zeros(plant.nstates), np.zeros(feedback.nstates), np.eye(3)[place]
+        for k in range(len(t)):
+            error = plant.C @ x - reference
+            assert y[k, own] == pytest.approx((plant.C @ x)[place], abs=1e-9)
+            x, state = (plant.A @ x + plant.B @ (feedback.C @ state + feedback.D @ error),
+                        feedback.A @ state + feedback.B @ error)
+    closed = control.feedback(plant, feedback, sign=1).poles()
+    assert_allclose(np.sort_complex(found.poles), np.sort_complex(closed), atol=1e-6)
 
 
 def test_the_least_damping_is_that_of_an_oscillator() -> None:
     """A sampled oscillator of 3 rad/s and a ratio of 0.05, without feedback, beside a position that nothing moves."""
     A = np.array([[0, 1, 0], [-9.0, -0.3, 0], [0, 0, 0]])
-    plant = LinearSystem(A, np.array([[0.0], [1], [1]]), np.array([[1.0, 0, 0]]), np.zeros((1, 1)), 0.0)
+    plant = control.ss(A, [[0.0], [1], [1]], [[1.0, 0, 0]], 0)
     (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(0.0), ["a"], "here")
     assert found.undisturbed == pytest.approx(0.05, rel=1e-9)
     (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(-5.0), ["a"], "here")
     assert found.damping < 0.05
-    slower = sampled(LinearSystem(A[:2, :2], plant.B[:2], plant.C[:, :2], plant.D, 0.0), np.zeros(1), PERIOD)
+    slower = sampled(control.ss(A[:2, :2], plant.B[:2], plant.C[:, :2], 0), np.zeros(1), PERIOD)
     (found,), _, _ = margins(slower, proportional(0.0), ["a"], "here")
     assert (found.damping, found.damping_at) == (pytest.approx(0.05, rel=1e-9), pytest.approx(3.0, rel=1e-9))
+
+
+def test_a_narrow_resonance_takes_what_its_circle_takes() -> None:
+    """A resonance with a damping ratio of 1e-4 between two of the frequencies: its Nyquist curve is a circle.
+
+    L = c·ω²/(s² + 2·ζ·ω·s + ω²), at ω equal to −j·c/(2·ζ): of radius c/(4·ζ), which passes −1 at the distance from its
+    centre less the radius.
+    """
+    omega, ratio, size = 11.7, 1e-4, 1e-4
+    A = np.array([[0.0, 1.0], [-omega**2, -2 * ratio * omega]])
+    plant = sampled(control.ss(A, [[0.0], [size * omega**2]], [[1.0, 0.0]], 0), np.zeros(1), 1e-3)
+    (found,), _, _ = margins(plant, control.ss([], [], [], -1, 1e-3), ["loop"], "here")
+    radius = size / (4 * ratio)
+    assert found.distance == pytest.approx(np.hypot(1, radius) - radius, rel=5e-3)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from control import StateSpace, feedback
 
 from hydroopt import Model, Plant, load_machine
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import linear_feedback
-from hydroopt.control.linear_system import LinearSystem, closed_loop
 from hydroopt.control.loop_margins import margins
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import tuned
@@ -22,7 +22,7 @@ RATE = 100.0
 States = dict[str, tuple[list[float], list[float]]]
 
 
-def manipulator(states: States) -> tuple[Valves, list[Point], list[LinearSystem]]:
+def manipulator(states: States) -> tuple[Valves, list[Point], list[StateSpace]]:
     """Tampere's manipulator in positions and at speeds by name [rad, m]."""
     plant = Plant(Model(load_machine("tampere_manipulator")))
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
@@ -32,24 +32,24 @@ def manipulator(states: States) -> tuple[Valves, list[Point], list[LinearSystem]
 
 
 @pytest.fixture(scope="module")
-def upright() -> tuple[Valves, list[Point], list[LinearSystem]]:
+def upright() -> tuple[Valves, list[Point], list[StateSpace]]:
     """The lift goes up nearly upright, and slowly in the middle of its range."""
     return manipulator({"upright": ([1.21, -0.377, 0.36], [0.27, -0.082, -0.05]),
                         "middle": ([0.6, -1.0, 0.4], [-0.1, 0.1, 0.1])})
 
 
-def growth(system: LinearSystem) -> float:
-    return float(np.log(np.max(np.abs(system.poles))) * RATE)
+def growth(system: StateSpace) -> float:
+    return float(np.log(np.max(np.abs(system.poles()))) * RATE)
 
 
-def test_a_load_that_lightens_is_stabilised(upright: tuple[Valves, list[Point], list[LinearSystem]]) -> None:
+def test_a_load_that_lightens_is_stabilised(upright: tuple[Valves, list[Point], list[StateSpace]]) -> None:
     valves, points, plants = upright
     assert growth(plants[0]) > 0.15
     gains = tuned(plants, points, valves)
 
     def closed(part: float) -> float:
         less = replace(gains, position=part * gains.position)
-        return max(growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, less, 1 / RATE, each)))
+        return max(growth(feedback(plant, linear_feedback(Axes(valves.plant), valves, less, 1 / RATE, each), sign=1))
                    for plant, each in zip(plants, points, strict=True))
 
     assert closed(1.0) < 0
@@ -62,7 +62,7 @@ def test_fast_loops_yield_to_one_that_finds_no_gains_beside_them() -> None:
     gains = tuned(plants, points, valves)
     assert np.all(gains.position > 1.0)
     for plant, each in zip(plants, points, strict=True):
-        assert growth(closed_loop(plant, linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each))) < 0
+        assert growth(feedback(plant, linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each), sign=1)) < 0
 
 
 @pytest.mark.slow
@@ -74,8 +74,8 @@ def test_robustness_yields_a_little_where_slower_loops_do_not_help() -> None:
     names = [each.actuator.name for each in valves.plant.actuators]
     assert np.all(gains.position > 1.0)
     for plant, each in zip(plants, points, strict=True):
-        feedback = linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each)
-        assert growth(closed_loop(plant, feedback)) < 0
-        for margin in margins(plant, feedback, names, each.name)[0]:
+        cascade = linear_feedback(Axes(valves.plant), valves, gains, 1 / RATE, each)
+        assert growth(feedback(plant, cascade, sign=1)) < 0
+        for margin in margins(plant, cascade, names, each.name)[0]:
             assert margin.gain > 10 ** (6 / 20)
             assert np.degrees(margin.phase) > 36
