@@ -78,4 +78,6 @@ def run() -> dict:
 if __name__ == "__main__" and "--store" in sys.argv:
     chosen = sys.argv[sys.argv.index("--store") + 1:]
     kept = json.loads(STORED.read_text("utf-8")) if chosen else {}
-    STORED.write_text(json.dumps(kept | answers(chosen), indent=0) + "\n", "utf-8")
+    lines = (f"{json.dumps(name)}:{json.dumps(answer, separators=(',', ':'))}"
+             for name, answer in (kept | answers(chosen)).items())
+    STORED.write_text("{" + ",\n".join(lines) + "}\n", "utf-8")
