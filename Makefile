@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-tools test-all lint docs studies studies-quick fuzz kills bench wheel clean
+.PHONY: demo test tests test-tools test-all lint docs studies studies-quick fuzz kills bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -20,8 +20,11 @@ demo: $(READY)
 	$(BIN)/hydroopt identify cat215b out/cat215b/run1/log.csv --validate out/cat215b/run2/log.csv -o out/cat215b/estimate
 	@echo "open out/kr300/report.html and out/cat215b/estimate/report.html"
 
-# lint, types and every test that is not marked slow
-test: $(READY) lint
+# lint, types and every test that is not marked slow; two jobs, since mypy uses one core
+test: $(READY)
+	$(MAKE) --jobs=2 lint tests
+
+tests: $(READY)
 	$(PYTEST)
 
 # the tests that need a tool beside Python, make and a C compiler; fails where one is missing

@@ -7,8 +7,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
+from fixtures.tiers import machines
 from hydroopt.cli import app
-from hydroopt.machine.machine_file import bundled
 
 WIDTH, LINES = 80, 60
 
@@ -19,7 +19,7 @@ def shown(*arguments: str, width: int = WIDTH) -> str:
     return answer.output
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_a_machine_fits_on_a_page(name: str) -> None:
     lines = shown(name).splitlines()
     assert sum(max(1, -(-len(line) // WIDTH)) for line in lines) <= LINES

@@ -86,6 +86,7 @@ def test_parts_are_the_forces_of_their_parameters(name: str, subjects_of) -> Non
             assert np.allclose(parts[part][k], subject.forces(k, qdd, only(part), none), atol=size), part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHARING)
 def test_accelerations_of_shared_and_passive_joints_balance(name: str, subjects_of) -> None:
     """The balances then measure what the actuators do, and nothing at joints that nothing drives."""

@@ -40,6 +40,7 @@ def test_no_call_writes_more_stack_than_its_chain_may_take(subject: str, real: s
 
 
 @needs_controller
+@pytest.mark.slow
 def test_instructions_grow_with_operations() -> None:
     """As many as the operations that the folder's README counts, and not many times as many."""
     made, found = measured("cat215b", "float")

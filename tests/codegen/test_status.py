@@ -38,7 +38,7 @@ EXCAVATOR = Model(library.machine("cat215b"))
 BOOM, STICK = EXCAVATOR.machine.cylinders
 
 
-@pytest.fixture(params=tiered(map(" ".join, BUILDS), lambda build: build != "cat215b float"))
+@pytest.fixture(params=tiered(map(" ".join, BUILDS), lambda build: build in ("cat215b double", "patu655_lift float")))
 def lib(request: pytest.FixtureRequest, libraries) -> Library:
     return libraries(*request.param.split(), "-O0")
 

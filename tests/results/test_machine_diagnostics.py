@@ -5,16 +5,17 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt as ho
+from fixtures.tiers import machines
 from hydroopt.cli import app
 from hydroopt.machine.idle_linkages import idle_linkages
-from hydroopt.machine.machine_file import bundled, dump_machine
+from hydroopt.machine.machine_file import dump_machine
 from hydroopt.machine.mechanism import branches
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_bundled_machines_have_possible_bodies(name: str) -> None:
     """One is there for its geometry and gravity: its inertias are "any", and it has no friction."""
     found = [each.kind for each in machine_diagnostics(ho.Model(ho.load_machine(name)))]

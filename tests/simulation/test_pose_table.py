@@ -89,6 +89,7 @@ def test_the_survey_of_the_documentation_states_every_measurement() -> None:
     assert machine.link("chassis").parent == "base_roll"
 
 
+@pytest.mark.slow
 def test_the_table_is_filled_in_in_the_units_of_the_sheet(plan: PosePlan, tmp_path: Path) -> None:
     """A person writes degrees and millimetres where the header says so, which does not change the calibration."""
     factors = {"deg": 180 / np.pi, "mm": 1e3, "m/s^2": 1.0}

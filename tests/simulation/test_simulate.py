@@ -122,6 +122,7 @@ def test_truths_are_spread_as_the_file_says() -> None:
     assert mass.std() == pytest.approx(0.02 * 124.565967, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_body_far_from_possible_has_no_truth() -> None:
     data = load_machine("patu655_lift").model_dump()
     data["links"][0]["body"] = {"m": 100.0, "mc": (100.0, 0.0, 0.0), "inertia": (1.0, 0, 0, 1.0, 0, 1.0)}

@@ -267,6 +267,7 @@ def test_exact_readings_give_the_geometry_back(machine: Machine, model: Model, t
     assert np.all(np.std(predicted - expected, axis=0) < 2e-3 * np.std(expected, axis=0))
 
 
+@pytest.mark.slow
 def test_estimate_has_geometry_and_bodies_with_their_covariance(estimate: CombinedEstimate, truth: dict[str, Array],
                                                                 tmp_path: Path) -> None:
     k, p = len(estimate.numbers.names), len(estimate.psi)

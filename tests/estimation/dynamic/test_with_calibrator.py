@@ -79,6 +79,7 @@ def saved(estimate: Estimate, folder: Path) -> None:
     assert body.m == pytest.approx(estimate.psi[estimate.problem.parameters.index("rig_2.m")])
 
 
+@pytest.mark.slow
 def test_calibrator_without_bodies_stays_unused() -> None:
     data = MACHINE.model_dump()
     for link in data["calibrator"]["links"]:

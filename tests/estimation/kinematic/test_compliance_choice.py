@@ -71,6 +71,7 @@ def test_a_sag_that_would_show_is_found(machine: Machine, planned: Poses, seed: 
     assert SOFT in choice.joints
 
 
+@pytest.mark.slow
 def test_a_stiff_arm_is_left_stiff(machine: Machine, planned: Poses) -> None:
     poses = measured(machine, planned, 0.0, 1)
     choice = choose_compliance(machine, poses)
@@ -88,6 +89,7 @@ def test_chosen_joints_are_parameters(machine: Machine, planned: Poses) -> None:
         compliant(machine, poses, ["elbow"])
 
 
+@pytest.mark.slow
 def test_a_sag_that_was_left_out_is_taken_in_next(machine: Machine, planned: Poses) -> None:
     stiff, poses = with_compliance(machine, {}), measured(machine, planned, COMPLIANCE, 1)
     answer = calibrate(calibration_problem(stiff, poses))

@@ -106,6 +106,7 @@ def test_deviations_are_those_of_the_numerical_jacobian_of_the_assembled_chain()
         assert expected == pytest.approx(std[name], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_other_choice_of_candidate_poses_would_be_much_better() -> None:
     done = design()
     largest = max(done.length_deviations[name] / asked for name, asked in done.length_std.items())

@@ -102,6 +102,7 @@ def test_same_seed_gives_the_same_motion() -> None:
     assert not one.stopped
 
 
+@pytest.mark.slow
 def test_more_starts_are_never_worse() -> None:
     of = program(LIFT, SWINGING)
     found = [design(of, starts=starts) for starts in (1, 2, 4)]
@@ -115,7 +116,7 @@ def test_more_starts_are_never_worse() -> None:
         assert more.value <= few.value or (smoothed and error(more) <= error(few))
 
 
-@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("criterion", tiered(CRITERIA, lambda criterion: criterion == "D"))
 def test_motion_tells_more_than_random_ones(criterion: str) -> None:
     """Than random series within all limits, each as wide as they admit."""
     of = program(LIFT, SWINGING, criterion)
@@ -167,7 +168,7 @@ IMPOSSIBLE = {
                 "workspace along z cannot be kept in any")}
 
 
-@pytest.mark.parametrize("kind", tiered(IMPOSSIBLE, lambda kind: list(IMPOSSIBLE).index(kind) < 2))
+@pytest.mark.parametrize("kind", tiered(IMPOSSIBLE, lambda kind: list(IMPOSSIBLE).index(kind) < 1))
 def test_limits_in_conflict_are_named(kind: str) -> None:
     changes, named = IMPOSSIBLE[kind]
     machine = CAT.model_copy(update={key: changes[key] for key in changes if key in (

@@ -270,6 +270,7 @@ def test_an_addition_comes_with_what_the_machine_file_needs() -> None:
     assert "addition.toml" in plan.next_steps[0].text
 
 
+@pytest.mark.slow
 def test_a_machine_whose_poses_all_hold_the_calibrator_is_taped_without_it() -> None:
     problem = replace(ho.what_next_problem("cat215b", targets={"tip": 0.01}), candidates=8)
     taped, known = reading(problem, "pins_boom"), problem.knowledge
