@@ -29,8 +29,9 @@ def test_standard_errors_of_widths_are_the_scatter_between_seeds() -> None:
     assert 0.7 < np.sqrt(np.mean((scatter / error[:, drawn].mean(axis=0)) ** 2)) < 1.4
 
 
-@pytest.mark.parametrize("job", [["identify"], ["identify", "--method", "wls"], ["identify", "--fitted-motion"]],
-                         ids=" ".join)
+@pytest.mark.parametrize("job", [["identify"], *(
+    pytest.param(["identify", *options], marks=pytest.mark.slow) for options in (
+        ["--method", "wls"], ["--method", "nlp"], ["--fitted-motion"], ["--loss", "huber"]))], ids=" ".join)
 def test_answers_are_the_same_without_a_compiler(job: list[str], tmp_path: Path) -> None:
     machine = ho.load_machine(LIFT)
     log = ho.simulate(machine, ho.random_trajectory(machine, duration=10.0, rate=50.0, seed=1), seed=1)
