@@ -42,6 +42,14 @@ def test_a_command_runs_where_one_cannot_go_back(tmp_path: Path) -> None:
     assert "KR300" in done.stdout
 
 
+def test_settings_that_matplotlib_cannot_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_bytes(b"font.size: 9\xff\n")
+    command = [sys.executable, "-m", "hydroopt", "control", "patu655_lift", "--motion", "log.csv", "-o", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=process.ENVIRONMENT)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("hydroopt: matplotlibrc: matplotlib cannot read its settings")
+
+
 def test_figures_look_the_same_whatever_matplotlib_was_told() -> None:
     def drawn() -> str:
         with matplotlib.rc_context(STYLE):

@@ -22,7 +22,7 @@ from hydroopt.cli.options import (
     Seed,
     progress,
 )
-from hydroopt.errors import ProblemError
+from hydroopt.errors import ProblemError, visible
 from hydroopt.input_file import is_directory
 
 KINDS = ("pi", "feedforward", "lqg")
@@ -62,6 +62,12 @@ def control(
 
     Example: hydroopt control patu655_lift --motion log.csv -o out/control
     """
+    try:
+        import matplotlib as _  # of python-control: reads the settings in the working directory
+    except (OSError, ValueError) as error:
+        raise ProblemError(f"matplotlib cannot read its settings ({visible(str(error))})", where="matplotlibrc",
+                           remedy="correct it or remove it from this directory") from None
+
     from hydroopt.checks.plausibility import misread_error
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code

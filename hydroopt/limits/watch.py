@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from textwrap import fill
 from typing import Any
@@ -29,7 +29,8 @@ IN_PRINT = {"rad": ("deg", 180 / np.pi, 1), "m": ("mm", 1e3, 0)}
 class Reach:
     """Space that a machine's parts reach about the vertical through the origin of its base frame [m].
 
-    `radius` is the distance from that vertical, `highest` and `lowest` are heights above the origin.
+    `radius` is the distance from that vertical, `highest` and `lowest` are heights above the origin; what people
+    watch has them above the ground, where the machine file states it.
     """
 
     radius: float
@@ -59,6 +60,7 @@ class Watch:
         margin: how far beyond the plan a motion is stopped, in words.
         stops: at most `ROWS` values at which it is stopped, the most urgent first.
         more: how many more values with a stop there are.
+        datum: what the heights are above, in words.
     """
 
     largest: Reach
@@ -68,6 +70,7 @@ class Watch:
     margin: str
     stops: tuple[StopValue, ...]
     more: int
+    datum: str
 
     @property
     def distance(self) -> float:
@@ -82,7 +85,7 @@ class Watch:
             f"Keep everyone {self.distance:.1f} m away from the machine's vertical axis, on all sides. Its parts reach "
             f"{self.largest.radius:.2f} m with all joints over their whole ranges{hangs}; {self.kept:g} m are added. "
             f"The plan itself reaches {self.planned.radius:.2f} m.",
-            f"Nothing is above it: its parts reach up to {self.largest.highest:.2f} m above the base frame (planned "
+            f"Nothing is above it: its parts reach up to {self.largest.highest:.2f} m above {self.datum} (planned "
             f"{self.planned.highest:.2f} m). Power lines need their own distance beside that.",
             "What the machine file does not state adds to the distance: measure how far bucket, load and counterweight "
             "stick out beyond their pins.",
@@ -146,8 +149,12 @@ def watch(model: Model, planned: Reach, uses: Iterable[UseOfLimit], reserves: Re
     largest = Reach(own.radius + attached, own.highest + attached, own.lowest - attached)
     margin = (f"The stop lies beyond the plan by {MARGIN:g} times the tracking error that the plan assumes, "
               f"{100 * reserves.tracking:g} % of each joint's range.")
+    ground = model.machine.ground
+    largest, planned = (replace(place, highest=place.highest - (ground or 0.0), lowest=place.lowest - (ground or 0.0))
+                        for place in (largest, planned))
     return Watch(largest, planned, attached, reserves.people, margin,
-                 tuple(_stop(model, use) for use in seen[:ROWS]), max(len(seen) - ROWS, 0))
+                 tuple(_stop(model, use) for use in seen[:ROWS]), max(len(seen) - ROWS, 0),
+                 "the origin of the base frame" if ground is None else "the ground")
 
 
 def reach(model: Model, q: Array) -> Reach:

@@ -92,7 +92,7 @@ class Cylinder(Noun):
     """Pin and body of the barrel."""
     rod: Attachment
     """Pin and body of the rod."""
-    jacks: int = Field(1, ge=1, le=100)
+    jacks: int = Field(1, ge=1, le=100, strict=True)
     """Number of equal jacks side by side."""
     head_area: Area | None = Field(None, gt=0)
     """Piston area of one jack on the head side."""

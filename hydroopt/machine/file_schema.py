@@ -242,7 +242,7 @@ def _refuse_noted_words(stated: Any, read: Any, place: str) -> None:
 
 
 def _of_numbers(read: Any) -> bool:
-    return all(map(_of_numbers, read)) if isinstance(read, tuple) else isinstance(read, int | float)
+    return bool(read) and all(map(_of_numbers, read)) if isinstance(read, tuple) else isinstance(read, int | float)
 
 
 def without_value(stated: Any) -> bool:

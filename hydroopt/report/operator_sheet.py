@@ -36,7 +36,6 @@ def render(excitation: Excitation) -> str:
         "operator_sheet.html", samples=joined(recordings), charts={"joints": charts_of(panels, SMALL)}, scene=view,
         machine=machine, excitation=excitation, watch=excitation.watch, steps=_steps(excitation),
         joints=[f"{name} [{SMALL[unit][0]}]" for name, unit in zip(names, _units(excitation), strict=True)],
-        lowest=None if machine.ground is None else plain(excitation.watch.planned.lowest - machine.ground, 2),
         duration=plain(problem.basis.duration), tips=machine.footprint is not None,
         slope=plain(float(np.degrees(np.hypot(*machine.orientation[:2]))), 2),
         kept=reserves_text(problem.limits.reserves))

@@ -14,7 +14,7 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture
 from hydroopt.limits.limits import MARGIN, Limits
 from hydroopt.limits.reserves import Reserves
-from hydroopt.limits.watch import ROWS, largest_reach
+from hydroopt.limits.watch import ROWS, largest_reach, reach, watch
 from hydroopt.model.scene_graph import SceneGraph
 
 MACHINES = ("excavator_bucket", "tampere_manipulator", "wheel_loader")
@@ -105,3 +105,14 @@ def test_an_approach_is_planned_where_parts_come_near_each_other_within_the_rese
     assert [row.name for row in limits.rows] == [row.name for row in limits.without_reserves().rows]
     found = approach(limits, np.array([0.4, -1.0, 0.3]), np.array([0.6, -1.2, 0.5]), 20.0)
     np.testing.assert_allclose(found.trajectory.q[-1], [0.6, -1.2, 0.5])
+
+
+@pytest.mark.parametrize(("name", "above", "ground"), [
+    ("cat215b", "above the ground", -1.7), ("kr300", "above the origin of the base frame", 0.0)])
+def test_heights_are_above_what_they_say(name: str, above: str, ground: float) -> None:
+    model = ho.Model(ho.load_machine(name))
+    assert (model.machine.ground or 0.0) == ground
+    q = np.zeros((1, len(model.machine.joints)))
+    told = watch(model, reach(model, q), (), Reserves())
+    assert told.largest.highest == pytest.approx(largest_reach(model).highest - ground)
+    assert f"reach up to {told.largest.highest:.2f} m {above}" in told.rules[1]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import hydroopt as ho
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.robot_formats.machine_tree import link_poses
@@ -203,3 +204,18 @@ def test_loops_that_share_a_joint_are_stated_as_they_are_read(swapped: bool, tmp
         closed = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         assert np.count_nonzero(closed) == 6
         assert np.max(np.abs(data.efc_pos[closed])) < 1e-9
+
+
+def test_an_actuator_that_reads_zero_throughout_is_no_error(tmp_path: Path) -> None:
+    """A joint that carries no mass needs no torque, and no size of a fault shows there."""
+    (tmp_path / "light.urdf").write_text("""<robot name="light"><link name="base"/><link name="b"/>
+      <link name="chassis"><inertial><mass value="5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+      </inertial></link><joint name="j1" type="revolute"><parent link="base"/><child link="chassis"/><axis xyz="0 0 1"/>
+      <limit lower="-1" upper="1" effort="10" velocity="1"/></joint><joint name="j2" type="revolute">
+      <parent link="chassis"/><child link="b"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+      <limit lower="-1" upper="1" effort="10" velocity="1"/></joint></robot>""")
+    machine = load_machine(tmp_path / "light.urdf")
+    log = ho.simulate(machine, ho.random_trajectory(machine, duration=10.0, rate=50.0, seed=0), seed=0)
+    answer = ho.solve(ho.identification_problem(machine, [log]))
+    assert answer.status in ("ok", "suspect")
+    assert answer.diagnostics

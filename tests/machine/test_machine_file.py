@@ -374,6 +374,8 @@ def test_bodies_of_tables_1_and_13(excavator: Machine) -> None:
     ('sigma = "20 %"', 'sigma = "20 %", lower = "inf kg"', r"lower: .*finite"),
     ('sigma = "20 %"', 'sigma = "1e308 kg"', r"sigma: .*beyond"),
     ("gear = 307", f"gear = {10**308}", "64 bits"),
+    ('bore = "140 mm"', 'bore = "140 mm"\njacks = true', r"jacks: must be a whole number, not 'true'"),
+    ('name = "digger"', 'name = "digger"\nobstacles = { value = [] }', "obstacles: only a number has a 'value'"),
     ("gear = 307", "gear = 1e300", r"gear: .*beyond"),
     ('name = "digger"', f'name = "digger"\nbandwidth = "{10**309} Hz"', r"bandwidth: .*finite")])
 def test_numbers_beyond_any_machine_are_refused(old, new, pattern):

@@ -206,7 +206,7 @@ class Search:
         rivals = []
         for k, fault in enumerate(self.faults):
             information, score = table[k, k], table[k, -1]
-            if information <= 1e-12 / fault.scale**2 or fault in before or (fault.positive and score < 0):
+            if information * fault.scale**2 <= 1e-12 or fault in before or (fault.positive and score < 0):
                 continue
             rivals.append(_weighed(fault, score / information, score**2 / information, information))
         rivals.sort(key=lambda cause: -cause.evidence)
