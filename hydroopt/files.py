@@ -26,7 +26,7 @@ HIDDEN = ".hydroopt-"
 """Prefix of folders of files that are not in their place yet."""
 PATIENCE = 10.0
 """How long a write waits for another process that is writing [s]."""
-REMEDY = "choose another directory with -o"
+REMEDY = "choose another directory"
 
 
 class BusyError(ProblemError):
@@ -81,6 +81,8 @@ def claimed(directory: str | Path, *, patience: float = 0.0) -> Iterator[Claim]:
             try:
                 lock.acquire()
             except Timeout:
+                if not (target / LOCK).exists():  # the system refuses, as if it were held
+                    raise ProblemError("this folder cannot be written", where=str(directory), remedy=REMEDY) from None
                 raise BusyError("another run of hydroopt writes into this folder", where=str(directory),
                                 remedy=f"wait until it has ended, or {REMEDY}") from None
             for left in target.glob(f"{HIDDEN}*"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -63,7 +64,7 @@ def control(
     Example: hydroopt control patu655_lift --motion log.csv -o out/control
     """
     try:
-        import matplotlib as _  # of python-control: reads the settings in the working directory
+        import_module("matplotlib")  # of python-control: reads the settings in the working directory
     except (OSError, ValueError) as error:
         raise ProblemError(f"matplotlib cannot read its settings ({visible(str(error))})", where="matplotlibrc",
                            remedy="correct it or remove it from this directory") from None

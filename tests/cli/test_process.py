@@ -102,7 +102,7 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path) -> None:
         done = shell(f"$H simulate cat215b -o {tmp_path}/out")
     assert done.returncode == 2
     assert done.stderr == (f"hydroopt: {tmp_path}/out: another run of hydroopt writes into this folder; wait until it "
-                           "has ended, or choose another directory with -o.\n")
+                           "has ended, or choose another directory.\n")
     assert not list(tmp_path.iterdir())
 
 
