@@ -471,7 +471,7 @@ def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: in
     shown = fitting if stated else [unit for unit in fitting if _shows(machine, channel, si, column.values, unit)]
     if stated:
         said += f", '{column.named.text}' may be {' or '.join(stated)}"
-    if len(shown) == 1 and score > 1:
+    if len(shown) == 1 and score > 1 and (stated or len(usual) == 1):  # else columns of a kind contradict each other
         who = ("its values allow" if stated or len(tried) == 1 else "gravity allows" if low_high is None else
                "all columns of its kind without a unit together allow")
         return Proposal(channel, column, shown[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "

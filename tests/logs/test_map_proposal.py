@@ -200,6 +200,15 @@ def test_pressures_without_a_unit_have_one_in_common(machine, log, tmp_path):
     assert "all columns of its kind without a unit together allow bar alone" in reason
 
 
+def test_pressures_that_contradict_each_other_are_guesses_all(machine, log, tmp_path):
+    """In kbar, which is none of the usual units: some chambers alone would allow MPa."""
+    names = {channel: (header.split(" [")[0].split(" /")[0], unit, 1e-8 if ".p_" in channel else scale)
+             for channel, (header, unit, scale) in FOREIGN.items()}
+    low = log.channels["boom_cylinder.p_rod"] / np.max(log.channels["boom_cylinder.p_rod"]) * 1e-2
+    found = propose_map(foreign(log, tmp_path / "run.csv", names, boom_cylinder_p_rod=low), machine)
+    assert {each.sureness for each in found.proposals if ".p_" in each.channel} <= {"guess"}
+
+
 def test_pressures_that_no_hydraulic_machine_has_are_guesses(machine, log, tmp_path):
     """Columns in psi whose headers say Pa."""
     names = {channel: (f"{header.split(' [')[0].split(' /')[0]} [Pa]", unit, 1 / 6894.757) if ".p_" in channel else

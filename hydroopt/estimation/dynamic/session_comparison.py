@@ -313,7 +313,7 @@ def session_comparison(model: Model, names: Sequence[str], sessions: Sequence[St
     found = session_model(model, names, sessions, seed=seed)
     fixed, detected = found.shapes[found.likeliest], found.p_value < level
     value, std, p_values, half = found.each
-    scatter_p, differs = found.beside(changed=detected)
+    scatter_p, differs = found.scatter(changed=detected)
     sizes, (changes, spread), rows = found.detectable(level), found.values, []
     for j, name in enumerate(names):
         k = model.parameters.index(name)

@@ -186,7 +186,7 @@ class SessionModel:
         first = np.zeros((len(self.names), 1))
         return np.hstack([first, changes]), np.hstack([first, std])
 
-    def beside(self, *, changed: bool) -> tuple[float, Array]:
+    def scatter(self, *, changed: bool) -> tuple[float, Array]:
         """p-values that sessions differ by residuals alone, and by the likeliest shape if it is stated: of all
         parameters or any, and (c,) of each whatever the others do, by Bonferroni's bound; NaN where nothing shows
         it."""

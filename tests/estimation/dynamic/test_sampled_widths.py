@@ -29,10 +29,18 @@ def test_standard_errors_of_widths_are_the_scatter_between_seeds() -> None:
     assert 0.7 < np.sqrt(np.mean((scatter / error[:, drawn].mean(axis=0)) ** 2)) < 1.4
 
 
-@pytest.mark.parametrize("job", [["identify"], *(
-    pytest.param(["identify", *options], marks=pytest.mark.slow) for options in (
-        ["--method", "wls"], ["--method", "nlp"], ["--fitted-motion"], ["--loss", "huber"]))], ids=" ".join)
-def test_answers_are_the_same_without_a_compiler(job: list[str], tmp_path: Path) -> None:
+SAMPLED = 0.3
+"""Difference of values and widths, in deviations: of 128 chains a width has a standard error of 1/√(2·128), even if
+each chain stayed in place, and a difference of two 0.09."""
+ROUNDED = 1e-6
+"""The same where nothing is sampled."""
+
+
+@pytest.mark.parametrize(("job", "most"), [(["identify"], SAMPLED), *(
+    pytest.param(["identify", *options], most, marks=pytest.mark.slow) for options, most in (
+        (["--method", "wls"], ROUNDED), (["--method", "nlp"], SAMPLED), (["--fitted-motion"], SAMPLED),
+        (["--loss", "huber"], SAMPLED)))])
+def test_answers_are_the_same_without_a_compiler(job: list[str], most: float, tmp_path: Path) -> None:
     machine = ho.load_machine(LIFT)
     log = ho.simulate(machine, ho.random_trajectory(machine, duration=10.0, rate=50.0, seed=1), seed=1)
     (tmp_path / "log.csv").write_bytes(log.encoded())
@@ -46,8 +54,8 @@ def test_answers_are_the_same_without_a_compiler(job: list[str], tmp_path: Path)
         other = second[name]
         assert one["identifiability"] == other["identifiability"]
         if one["std"]:
-            assert abs(one["value"] - other["value"]) < 0.3 * one["std"], name  # means of samples
-            assert abs(one["std"] - other["std"]) < 0.3 * one["std"], name
+            assert abs(one["value"] - other["value"]) < most * one["std"], name
+            assert abs(one["std"] - other["std"]) < most * one["std"], name
 
 
 def answer(job: list[str], folder: Path, out: str, path: str) -> dict[str, Any]:
