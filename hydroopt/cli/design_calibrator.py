@@ -27,7 +27,7 @@ from hydroopt.cli.options import (
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.calibrator.construction import SensorOffer, Workshop
+    from hydroopt.excitation.selection.construction import SensorOffer, Workshop
     from hydroopt.machine.machine import Machine
 
 Range = tuple[str, str] | None
@@ -73,9 +73,9 @@ def design_calibrator(
 
     Example: hydroopt design-calibrator cat215b -n 40 --length-std '3 mm' --keep grapple_swing --keep grapple -o out/rig
     """
-    from hydroopt.excitation.calibrator.design import design_calibrator as design
-    from hydroopt.excitation.calibrator.problem import calibrator_problem
-    from hydroopt.excitation.poses.problem import pose_problem
+    from hydroopt.excitation.selection.calibrator_problem import calibrator_problem
+    from hydroopt.excitation.selection.design_calibrator import design_calibrator as design
+    from hydroopt.excitation.selection.pose_problem import pose_problem
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.calibrator import drawing, render
 
@@ -117,7 +117,7 @@ def _links(text: str) -> tuple[int, int]:
 
 
 def _offer(text: str) -> SensorOffer:
-    from hydroopt.excitation.calibrator.construction import SensorOffer
+    from hydroopt.excitation.selection.construction import SensorOffer
     from hydroopt.units import to_si
 
     accuracy, found, cost = text.partition("=")
@@ -134,7 +134,7 @@ def _workshop(machine: Machine, longest: str | None, ball: Sequence[Range], leng
     """What can be built: as usual for the machine, but for what the options say."""
     from dataclasses import replace
 
-    from hydroopt.excitation.calibrator.problem import usual_workshop
+    from hydroopt.excitation.selection.calibrator_problem import usual_workshop
     from hydroopt.units import to_si
 
     usual = usual_workshop(machine)

@@ -43,7 +43,7 @@ def measure_up(
     Example: hydroopt measure-up excavator.toml --tip-std '10 mm' -o out/sheet
     """
     from hydroopt.errors import ProblemError
-    from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
+    from hydroopt.excitation.selection.measure_up import fewest_readings, measure_up_problem
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.pose_plan import render
     from hydroopt.units import to_si

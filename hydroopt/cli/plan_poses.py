@@ -48,8 +48,8 @@ def plan_poses(
 
     Example: hydroopt plan-poses cat215b -n 40 -o out/plan
     """
-    from hydroopt.excitation.poses.exchange import fedorov_exchange
-    from hydroopt.excitation.poses.problem import pose_problem
+    from hydroopt.excitation.selection.exchange import fedorov_exchange
+    from hydroopt.excitation.selection.pose_problem import pose_problem
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.pose_plan import render
 

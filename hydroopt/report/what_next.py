@@ -12,7 +12,7 @@ from hydroopt.report.numbers import plain
 from hydroopt.report.page import document
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.next.plan import WhatNext
+    from hydroopt.excitation.selection.what_next import WhatNext
 
 
 def render(plan: WhatNext) -> str:

@@ -11,12 +11,12 @@ from hydroopt import KinematicModel, calibration_problem, load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.calibrate import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
-from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, carrying
-from hydroopt.excitation.calibrator.design import design_calibrator, planned, search_of
-from hydroopt.excitation.calibrator.problem import CalibratorProblem
-from hydroopt.excitation.calibrator.program import JointProgram
-from hydroopt.excitation.calibrator.search import ROUNDS
+from hydroopt.excitation.selection.calibrator_design import CalibratorDesign
+from hydroopt.excitation.selection.calibrator_problem import CalibratorProblem
+from hydroopt.excitation.selection.calibrator_program import JointProgram
+from hydroopt.excitation.selection.calibrator_search import ROUNDS
+from hydroopt.excitation.selection.construction import BRACKET, Construction, carrying
+from hydroopt.excitation.selection.design_calibrator import design_calibrator, planned, search_of
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.pose_table import simulate_poses
 

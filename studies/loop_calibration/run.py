@@ -11,7 +11,7 @@ from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.estimation.kinematic.workspace import exact_lengths, machine_end
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel

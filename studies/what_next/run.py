@@ -15,14 +15,14 @@ from hydroopt.errors import HydrooptError
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.estimation.kinematic.calibrate import optimum
 from hydroopt.estimation.kinematic.workspace import machine_end
-from hydroopt.excitation.next.additions import Addition, equipped
-from hydroopt.excitation.next.goals import LoadGoal
-from hydroopt.excitation.next.measurements import Measurement
-from hydroopt.excitation.next.plan import plan_next
-from hydroopt.excitation.next.problem import WhatNextProblem, what_next_problem
-from hydroopt.excitation.next.sequence import State
-from hydroopt.excitation.poses.posture_readings import PostureReadings
-from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
+from hydroopt.excitation.selection.additions import Addition, equipped
+from hydroopt.excitation.selection.goals import LoadGoal
+from hydroopt.excitation.selection.measurements import Measurement
+from hydroopt.excitation.selection.pose_problem import PoseLabels, pose_problem
+from hydroopt.excitation.selection.readings import PostureReadings
+from hydroopt.excitation.selection.sequence import State
+from hydroopt.excitation.selection.what_next import plan_next
+from hydroopt.excitation.selection.what_next_problem import WhatNextProblem, what_next_problem
 from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine import Machine

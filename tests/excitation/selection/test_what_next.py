@@ -19,11 +19,11 @@ from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import random_states, structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
-from hydroopt.excitation.next.goals import LinearGoal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import LEVELLED, LOAD, LOADED, Measurement
-from hydroopt.excitation.next.plan import plan_next
-from hydroopt.excitation.next.sequence import State, lack, sequence
+from hydroopt.excitation.selection.goals import LinearGoal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import LEVELLED, LOAD, LOADED, Measurement
+from hydroopt.excitation.selection.sequence import State, lack, sequence
+from hydroopt.excitation.selection.what_next import plan_next
 from hydroopt.logs.poses import Poses
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.pose_table import simulate_poses

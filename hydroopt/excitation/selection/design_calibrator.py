@@ -9,16 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.observability import observability
-from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign, Tried
-from hydroopt.excitation.calibrator.construction import Construction, SensorOffer, carrying, fixture_of
-from hydroopt.excitation.calibrator.problem import CalibratorProblem
-from hydroopt.excitation.calibrator.program import Sized
-from hydroopt.excitation.calibrator.search import Search
-from hydroopt.excitation.poses.exchange import best_poses, lengths, ordered
-from hydroopt.excitation.poses.problem import PoseProblem, linearised, pose_problem
+from hydroopt.excitation.selection.calibrator_design import CalibratorDesign, Tried
+from hydroopt.excitation.selection.calibrator_problem import CalibratorProblem
+from hydroopt.excitation.selection.calibrator_program import Sized
+from hydroopt.excitation.selection.calibrator_search import Search
+from hydroopt.excitation.selection.candidate_postures import in_passes
+from hydroopt.excitation.selection.construction import Construction, SensorOffer, carrying, fixture_of
+from hydroopt.excitation.selection.exchange import best_poses
+from hydroopt.excitation.selection.pose_problem import measured_along, pose_problem
 from hydroopt.progress import Progress, silent
-from hydroopt.spatial.inertia import Array
 
 MARGIN = 0.95
 """Part of the deviations asked for that sizes must reach, since poses are whole numbers."""
@@ -126,17 +125,15 @@ def planned(problem: CalibratorProblem, construction: Construction, sized: Sized
     base = pose_problem(machine, problem.count, criterion="A", focus=tuple(problem.length_std), priors=problem.priors,
                         fixed={name: values.get(name, value) for name, value in problem.fixed.items()},
                         reserves=problem.reserves)
-    q = np.array([_in_order(base, k, each[:least]) for k, each in enumerate(found)])
+    q = np.array([each[in_passes(each[:, measured_along(base.model, group)], SWEEPS if group.drift else 1)]
+                  for group, each in zip(base.groups, (each[:least] for each in found), strict=True)])
     shares = search.program.shares(values, q, 400)
     units = {name: target / math.sqrt(max(float(weight), 1e-6))
              for (name, target), weight in zip(problem.length_std.items(), shares.weight, strict=True)}
     drifts = any(group.drift for group in base.groups)  # these depend on the order, too
-    chosen, log_det = best_poses(base, q, units=units)
-    labels = base.labels(problem.count)
-    chosen_q, log_det = ordered(base, q[chosen], log_det, units)
     return CalibratorDesign(
-        base, least, seed, labels, chosen_q, lengths(base.model, chosen_q),
-        observability(*linearised(base, chosen_q, labels)), log_det, search.left_out, construction, values,
+        base, least, seed, base.labels(problem.count), best_poses(base, q, units=units), search.left_out,
+        construction, values,
         problem.workshop, problem.length_std, problem.least, problem.cost(construction), tried,
         math.nan if drifts else math.sqrt(shares.bound))
 
@@ -146,12 +143,3 @@ def _rounded(values: Mapping[str, float], search: Search) -> dict[str, float]:
     fixture = fixture_of(search.machine)
     step = {size.name: 1e-2 if size.name.startswith(f"{fixture}.") else ROUNDED[size.unit] for size in search.sizes}
     return {name: round(value / step[name]) * step[name] if name in step else value for name, value in values.items()}
-
-
-def _in_order(problem: PoseProblem, group: int, q: Array) -> Array:
-    """Postures (C, n) in the order of measuring: there and, where locked joints drift, back, some times over, so that
-    each posture is measured early and late."""
-    model, stage = problem.model, problem.groups[group]
-    first = model.joints.index(stage.moves[0]) if stage.moves else 0
-    order, sweeps = np.argsort(q[:, first], kind="stable"), SWEEPS if stage.drift else 1
-    return np.asarray(q[np.concatenate([order[k::sweeps][:: -1 if k % 2 else 1] for k in range(sweeps)])])

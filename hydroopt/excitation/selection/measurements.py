@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
-from hydroopt.excitation.next.additions import Addition
-from hydroopt.excitation.next.goals import ByGeometry, LoadGoal
-from hydroopt.excitation.poses.posture_readings import PostureReadings
-from hydroopt.excitation.poses.problem import PoseLabels
-from hydroopt.excitation.poses.readings import DRIVE, SET_UP, Reading
+from hydroopt.excitation.selection.additions import Addition
+from hydroopt.excitation.selection.goals import ByGeometry, LoadGoal
+from hydroopt.excitation.selection.pose_problem import PoseLabels
+from hydroopt.excitation.selection.readings import DRIVE, SET_UP, PostureReadings, Reading
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.inference.ipopt import improved
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.excitation.calibrator.construction import Size
-from hydroopt.excitation.calibrator.shares import POWER, Shares, optimal_shares
-from hydroopt.excitation.calibrator.whitened_rows import whitened_rows
-from hydroopt.excitation.poses.problem import PoseProblem, calibration_of
+from hydroopt.excitation.selection.construction import Size
+from hydroopt.excitation.selection.pose_problem import PoseProblem, calibration_of
+from hydroopt.excitation.selection.shares import POWER, Shares, optimal_shares
+from hydroopt.excitation.selection.whitened_rows import whitened_rows
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, Workshop, fixture_of
-from hydroopt.excitation.poses.plan import PosePlan
+from hydroopt.excitation.selection.construction import BRACKET, Construction, Workshop, fixture_of
+from hydroopt.excitation.selection.pose_plan import PosePlan
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable

@@ -9,7 +9,7 @@ from typing import Never
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, SensorOffer, Workshop
+from hydroopt.excitation.selection.construction import BRACKET, Construction, SensorOffer, Workshop
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine

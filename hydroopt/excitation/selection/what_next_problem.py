@@ -14,10 +14,12 @@ from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.excitation.next.additions import Addition, additions, equipped
-from hydroopt.excitation.next.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import (
+from hydroopt.excitation.criteria import FAINT
+from hydroopt.excitation.selection.additions import Addition, additions, equipped
+from hydroopt.excitation.selection.candidate_postures import candidate_postures
+from hydroopt.excitation.selection.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import (
     Measurement,
     known_load,
     levelled_base,
@@ -25,10 +27,8 @@ from hydroopt.excitation.next.measurements import (
     pose_measurements,
     weighed_links,
 )
-from hydroopt.excitation.poses.exchange import candidate_postures
-from hydroopt.excitation.poses.posture_readings import FAINT_INFORMATION, PostureReadings, tip_rows
-from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem, pose_problem
-from hydroopt.excitation.poses.readings import Reading, readings
+from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseLabels, PoseProblem, pose_problem
+from hydroopt.excitation.selection.readings import PostureReadings, Reading, readings, tip_rows
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.given_machine import GivenMachine, machine_of
@@ -115,7 +115,7 @@ class WhatNextProblem(Shown):
     def knowledge(self) -> Knowledge:
         """By the machine file and all answers."""
         parameters = self.model.parameters
-        psi = parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
+        psi = parameters.information + FAINT * np.diag(parameters.scale**-2.0)
         names = (*self._geometry_names, *parameters.names)
         return Knowledge.stating(names, self._geometry_prior, psi).with_answers(self.model, self.answers)
 
@@ -261,7 +261,7 @@ class WhatNextProblem(Shown):
     def _geometry_prior(self) -> Array:
         parameters = self.chain.parameters
         prior = self.postures[0].prior if self.postures else (
-            parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0))
+            parameters.information + FAINT * np.diag(parameters.scale**-2.0))
         return block_diag(prior, np.eye(2) / self.base_tilt**2) if self.base_tilt else prior
 
     @cached_property

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydroopt.excitation.next.goals import Goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import Measurement
-from hydroopt.excitation.poses.posture_readings import gains
+from hydroopt.excitation.criteria import gains
+from hydroopt.excitation.selection.goals import Goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import Measurement
 from hydroopt.spatial.inertia import Array
 
 PARTS = 12
@@ -114,7 +114,8 @@ def _slope(goals: Sequence[Goal], knowledge: Knowledge, measurement: Measurement
     for goal in goals:
         if (std := goal.std(covariance)) > goal.target:
             task = goal.rows(covariance) @ knowledge.passed_on
-            total += gains(measurement.rows, knowledge.first, task, measurement.own) / std**2
+            own = measurement.own
+            total += gains(measurement.rows, knowledge.first[own, own], knowledge.first[own] @ task.T) / std**2
     return total
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.next.goals import Goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.problem import WhatNextProblem
-from hydroopt.excitation.next.sequence import State, Step, choices, lack, sequence
+from hydroopt.excitation.selection.goals import Goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.sequence import State, Step, choices, lack, sequence
+from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
 from hydroopt.files import encoded
 from hydroopt.input_file import read_text
 from hydroopt.machine.machine import Machine

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, Workshop, carrying, fixture_of, sizes
-from hydroopt.excitation.calibrator.program import STEPS, JointProgram, Sized
-from hydroopt.excitation.poses.exchange import Sieve
-from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, pose_problem
+from hydroopt.excitation.selection.calibrator_program import STEPS, JointProgram, Sized
+from hydroopt.excitation.selection.candidate_postures import Sieve
+from hydroopt.excitation.selection.construction import BRACKET, Construction, Workshop, carrying, fixture_of, sizes
+from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, pose_problem
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
