@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import optimum, random_start, solvable
 from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.optimum import optimum, random_start, solvable
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.uniqueness import SAME
+from hydroopt.estimation.kinematic.solution import SAME
 from hydroopt.estimation.kinematic.unsensed_angles import closed_angles
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
