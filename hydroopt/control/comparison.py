@@ -13,10 +13,10 @@ from control import StateSpace
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate, tip
-from hydroopt.control.diagnostics import control_diagnostics, margin_diagnostics
+from hydroopt.control.diagnostics import SMALL_MARGINS, UNSTABLE, control_diagnostics, margin_diagnostics
 from hydroopt.control.draws import Draw, spread
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
-from hydroopt.control.loop_margins import Margin, margins, with_resonances
+from hydroopt.control.loop_margins import Margin, frequencies, margins
 from hydroopt.control.loops import Loops
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
@@ -32,13 +32,12 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "simulation of closed loops"
@@ -105,7 +104,10 @@ class Comparison(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Small margins, little damping, ended runs and saturated valves."""
-        stopped = (Diagnostic(Kind.BEST_RUN_STOPPED, (self.winner.name,)),) if self.winner.run.stopped else ()
+        stopped = [] if not self.winner.run.stopped else [Diagnostic.of(
+            "even the best run ended early", (self.winner.name,), {},
+            "Even the best controller, {subject}, ends before the motion does.",
+            "Drive a slower motion, or correct the machine's valves and pump.", Meaning.CONTRADICTION)]
         return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward),
                 *margin_diagnostics(self.winner, self.lost_margins))
 
@@ -113,7 +115,7 @@ class Comparison(Answer):
     def uses(self) -> tuple[Use, ...]:
         """Whether the best controller follows the motion with sound margins."""
         best = self.winner
-        weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_IN_POSTURE)
+        weak = [each for each in of_kind(self.diagnostics, SMALL_MARGINS, UNSTABLE)
                 if best.name in each.subject]
         condition = f"RMS of the tip on this motion, simulated; truth: {self.setting.true.text}"
         reason = best.run.stopped or (weak[0].text.rstrip(".") if weak else "")
@@ -130,7 +132,7 @@ class Comparison(Answer):
                 Action.USE, "Build and test the feedforward in C, and begin at a tenth of the speed:",
                 f"make -C {self.command_line.path('c')} check"),)
         machine = self.setting.plant.machine.source
-        small = any(best.name in each.subject for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS))
+        small = any(best.name in each.subject for each in of_kind(self.diagnostics, SMALL_MARGINS))
         steps = []
         if small and any(each.lost > 0 for each in self.lost_margins):
             steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them:",
@@ -333,7 +335,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, loops))
     shown = [loops for _, loops in analysed.values()]
-    omega = with_resonances(shown[0].omega, [each for loops in shown for each in (loops.plant, loops.closed)])
+    omega = frequencies([each for loops in shown for each in (loops.plant, loops.closed)])
     fine = {kind: loops.at(omega) for kind, (_, loops) in analysed.items()}
     outcomes = [replace(outcome, loops=fine[type(controller)])
                 for outcome, (*_, controller) in zip(outcomes, candidates, strict=True)]

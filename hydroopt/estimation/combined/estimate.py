@@ -6,7 +6,7 @@ and the parameters ψ of bodies and friction:
     Σ ((q_read − q)/σ_q)² + λ/σ_q²·∫ q'''² dt + Σ |rows(g, q, calibrator)|² + Σ ((f − f(q, q̇, q̈, ψ, g))/σ_f)²
         + ((g − g₀)/σ_g)² + …  →  min over c, g and ψ.
 
-The sweep along time of `hydroopt.estimation.dynamic.fitted_motion` eliminates the motion, then g is eliminated from
+`hydroopt.estimation.dynamic.fitted_motion` eliminates the motion, then g is eliminated from
 what is left: ``‖R·ψ − r‖²``, to which priors, constraints and samplers of ψ apply as to any other logs. With ψ known, g
 is Gaussian about a linear function of ψ, so that the posterior of ψ gives that of both, their correlation included.
 """
@@ -41,12 +41,11 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.standing import standing_for
 from hydroopt.model.model import Model
 from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Purpose, Use, determined
-from hydroopt.results.wording import CONTRADICTIONS
 from hydroopt.spatial.inertia import Array
 
 DETERMINED = 0.5
@@ -139,7 +138,7 @@ class CombinedEstimate(Estimate):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the readings of the geometry, then those of an `Estimate`."""
-        return (*of_kind(self.kinematics.diagnostics, *CONTRADICTIONS), *super().diagnostics)
+        return (*self.kinematics.contradictions, *super().diagnostics)
 
     @cached_property
     def misfit(self) -> Misfit | None:
