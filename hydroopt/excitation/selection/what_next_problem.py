@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry
 from hydroopt.excitation.criteria import FAINT
 from hydroopt.excitation.selection.additions import Addition, additions, equipped
 from hydroopt.excitation.selection.candidate_postures import random_candidates
