@@ -35,9 +35,9 @@ from .excitation.motion.excitation import Excitation as Excitation
 from .excitation.motion.problem import ExcitationProblem as ExcitationProblem
 from .excitation.selection.calibrator_design import CalibratorDesign as CalibratorDesign
 from .excitation.selection.calibrator_problem import CalibratorProblem as CalibratorProblem
+from .excitation.selection.calibrator_problem import SensorOffer as SensorOffer
+from .excitation.selection.calibrator_problem import Workshop as Workshop
 from .excitation.selection.calibrator_problem import calibrator_problem as calibrator_problem
-from .excitation.selection.construction import SensorOffer as SensorOffer
-from .excitation.selection.construction import Workshop as Workshop
 from .excitation.selection.measure_up import MeasureUpPlan as MeasureUpPlan
 from .excitation.selection.measure_up import MeasureUpProblem as MeasureUpProblem
 from .excitation.selection.measure_up import measure_up_problem as measure_up_problem

@@ -45,7 +45,7 @@ SOLVERS = {
     ("hydroopt.excitation.selection.measure_up", "MeasureUpProblem"): (
         "hydroopt.excitation.selection.measure_up", "fewest_readings"),
     ("hydroopt.excitation.selection.calibrator_problem", "CalibratorProblem"): (
-        "hydroopt.excitation.selection.design_calibrator", "design_calibrator"),
+        "hydroopt.excitation.selection.calibrator_design", "design_calibrator"),
     ("hydroopt.excitation.selection.what_next_problem", "WhatNextProblem"): (
         "hydroopt.excitation.selection.what_next", "plan_next")}
 """Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
@@ -86,7 +86,7 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
             `hydroopt.excitation.selection.exchange.fedorov_exchange`,
             `hydroopt.excitation.selection.measure_up.fewest_readings`,
-            `hydroopt.excitation.selection.design_calibrator.design_calibrator` or
+            `hydroopt.excitation.selection.calibrator_design.design_calibrator` or
             `hydroopt.excitation.selection.what_next.plan_next`.
 
     Raises:

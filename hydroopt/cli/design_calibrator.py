@@ -12,7 +12,7 @@ from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.selection.construction import SensorOffer, Workshop
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer, Workshop
     from hydroopt.machine.machine import Machine
 
 Range = tuple[str, str] | None
@@ -53,8 +53,8 @@ def design_calibrator(
 
     Example: hydroopt design-calibrator cat215b -n 40 --length-std '3 mm' --keep grapple_swing --keep grapple -o out/rig
     """
+    from hydroopt.excitation.selection.calibrator_design import design_calibrator as design
     from hydroopt.excitation.selection.calibrator_problem import calibrator_problem
-    from hydroopt.excitation.selection.design_calibrator import design_calibrator as design
     from hydroopt.excitation.selection.pose_problem import pose_problem
     from hydroopt.report.calibrator import drawing
 
@@ -94,7 +94,7 @@ def _links(text: str) -> tuple[int, int]:
 
 
 def _offer(text: str) -> SensorOffer:
-    from hydroopt.excitation.selection.construction import SensorOffer
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer
     from hydroopt.units import to_si
 
     accuracy, found, cost = text.partition("=")

@@ -1,17 +1,35 @@
-"""A designed calibrator: its parts, where they are mounted, the poses to measure, and what its own errors cost."""
+"""Designing a calibrator: constructions from the cheapest on, each sized from several starts, until one suffices.
+
+The design states its parts, where they are mounted, the poses to measure, and what its own errors cost.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hydroopt.excitation.selection.construction import BRACKET, Construction, Workshop, fixture_of
+from hydroopt.errors import ProblemError
+from hydroopt.excitation.selection.calibrator_problem import (
+    BRACKET,
+    CalibratorProblem,
+    Construction,
+    Workshop,
+    carrying,
+    fixture_of,
+)
+from hydroopt.excitation.selection.calibrator_sizing import Sized, Sizing
+from hydroopt.excitation.selection.candidate_postures import in_passes
+from hydroopt.excitation.selection.exchange import best_poses
 from hydroopt.excitation.selection.pose_plan import PosePlan
+from hydroopt.excitation.selection.pose_problem import measured_along, pose_problem
 from hydroopt.machine.machine_file import dump_machine
+from hydroopt.progress import Progress, silent
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
@@ -19,6 +37,16 @@ from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, 
 
 PART = ("theta", "d", "a", "alpha")
 """Numbers of a part, in the order of Eq. 3.8."""
+MARGIN = 0.95
+"""Part of the deviations asked for that sizes must reach, since poses are whole numbers."""
+ROUNDED = {"m": 1e-3, "rad": math.radians(0.1)}
+"""Steps of lengths [m] and angles [rad] of what is built."""
+TRIES = 8
+"""Times that so many postures are drawn, where few of them close within the limits."""
+MORE = 3.0
+"""Postures to choose from for each one to measure."""
+SWEEPS = 8
+"""Times that a stage whose locked joints drift is driven through its postures."""
 
 
 class Tried(NamedTuple):
@@ -104,31 +132,31 @@ class CalibratorDesign(PosePlan):
         return all(self.length_deviations[name] <= asked for name, asked in self.length_std.items())
 
     @cached_property
+    def _own(self) -> NDArray[np.bool_]:
+        """Which of the parameters (f,) are numbers of the calibrator."""
+        return np.array([name.partition(".")[0] in (BRACKET, *self.construction.names) for name in self.names])
+
+    @cached_property
     def own_errors(self) -> tuple[OwnError, ...]:
         """What each uncertain number of the calibrator costs, the dearest first."""
-        own = [k for k, name in enumerate(self.names) if name.partition(".")[0] in (BRACKET, *self.construction.names)]
-        total = self.observability.information + self.observability.prior
-        places = {name: self.names.index(name) for name in self.length_std}
-        prior = np.sqrt(np.diag(self.observability.prior))
+        covariance, names = self.observability.covariance, list(self.length_std)
+        places = [self.names.index(name) for name in names]
         found = []
-        for k in own:
-            rest = np.delete(np.arange(len(total)), k)
-            variance = np.diag(np.linalg.inv(total[np.ix_(rest, rest)]))
-            factor = {name: self.length_deviations[name] / np.sqrt(variance[np.flatnonzero(rest == place)[0]])
-                      for name, place in places.items()}
-            most = max(factor, key=lambda name: factor[name])
-            found.append(OwnError(self.names[k], float(1 / prior[k]) if prior[k] else float("inf"), most,
-                                  float(factor[most])))
+        for k in np.flatnonzero(self._own).tolist():
+            # an exact number leaves of each variance what does not follow it
+            left = 1 - covariance[places, k] ** 2 / (covariance[k, k] * np.diag(covariance)[places])
+            most, prior = int(np.argmin(left)), self.observability.prior[k, k]
+            found.append(OwnError(self.names[k], float(1 / np.sqrt(prior)) if prior else math.inf, names[most],
+                                  float(1 / np.sqrt(left[most]))))
         return tuple(sorted(found, key=lambda each: -each.factor))
 
     @property
     def exact_deviations(self) -> dict[str, float]:
         """Standard deviations to expect [m] of the lengths, if every number of the calibrator were exact."""
-        own = [name.partition(".")[0] in (BRACKET, *self.construction.names) for name in self.names]
-        rest = np.flatnonzero(~np.array(own))
+        rest = np.flatnonzero(~self._own)
         total = (self.observability.information + self.observability.prior)[np.ix_(rest, rest)]
-        std = np.sqrt(np.diag(np.linalg.inv(total)))
-        return {name: float(std[np.flatnonzero(rest == self.names.index(name))[0]]) for name in self.length_std}
+        std = dict(zip(rest.tolist(), np.sqrt(np.diag(np.linalg.inv(total))).tolist(), strict=True))
+        return {name: std[self.names.index(name)] for name in self.length_std}
 
     @property
     def headline(self) -> str:
@@ -184,3 +212,109 @@ class CalibratorDesign(PosePlan):
         assert calibrator is not None
         first = next(link for link in calibrator.links if link.name == BRACKET)
         return first.parent
+
+
+def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: float = 1.0, seed: int = 0,
+                      progress: Progress = silent) -> CalibratorDesign:
+    """The cheapest calibrator that suffices, or with `least` the best one of the most links, with its poses.
+
+    Args:
+        problem: what may be built, and how well lengths are to be known.
+        starts: calibrators of each construction that are sized together with their poses.
+        effort: part of the usual number of random calibrators and rounds.
+        seed: of all random numbers.
+        progress: receives the steps, see `hydroopt.progress`.
+
+    Raises:
+        ProblemError: no calibrator closes within the limits, or none suffices.
+    """
+    rng = np.random.default_rng(seed)
+    offered = list(problem.constructions())
+    if problem.least:
+        offered = offered[-1:] if len(problem.sensors) == 1 else [
+            max(offered, key=lambda each: (each[1].links, -each[1].sensors[0].accuracy))]
+    tried: list[Tried] = []
+    for k, (_, construction) in enumerate(offered):
+        search = Sizing(problem, construction)
+        sized = search.best(starts, rng, progress, (0.9 * k / len(offered), 0.9 * (k + 1) / len(offered)), effort)
+        built = construction._replace(crossing=search.crossing(sized.values)) if sized.values else construction
+        tried.append(_tried(problem, built, sized))
+        if not sized.values or not (problem.least or sized.worst <= math.log(MARGIN)):
+            continue
+        if not problem.least:
+            built, sized = _cheaper(problem, built, sized, rng, tried)
+        progress("choosing poses", 0.9)
+        if (design := planned(problem, built, sized, tuple(tried), rng, seed)) is not None and (
+                problem.least or design.reached):
+            return design
+    best = min(tried, key=lambda each: each.ratio)
+    if problem.least and math.isfinite(best.ratio):
+        raise ProblemError(f"fewer than {problem.count} random postures of a stage close within the limits",
+                           where=f"calibrator for {problem.machine.name}", remedy="measure fewer poses, or allow more "
+                           "starts, longer links, or another place of the ball")
+    if not math.isfinite(best.ratio):
+        raise ProblemError("no calibrator closes the loop within its limits in the poses of all stages",
+                           where=f"calibrator for {problem.machine.name}",
+                           remedy="allow longer links, another place of the ball, or lock joints elsewhere")
+    raise ProblemError(f"the best calibrator found, of {best.links} links, leaves a length at {best.ratio:.3g} times "
+                       "the accuracy asked for", where=f"calibrator for {problem.machine.name}",
+                       remedy="ask for less, measure more poses, or allow better sensors, more or longer links")
+
+
+def _tried(problem: CalibratorProblem, construction: Construction, sized: Sized) -> Tried:
+    return Tried(construction.links, tuple(each.accuracy for each in construction.sensors), problem.cost(construction),
+                 math.exp(sized.worst))
+
+
+def _cheaper(problem: CalibratorProblem, construction: Construction, sized: Sized, rng: np.random.Generator,
+             tried: list[Tried]) -> tuple[Construction, Sized]:
+    """The same sizes with a cheaper sensor at each joint where it suffices."""
+    for joint in range(construction.links):
+        for offer in sorted(problem.sensors, key=lambda each: each.cost):
+            if offer.cost >= construction.sensors[joint].cost:
+                break
+            own = construction.sensors
+            other = construction._replace(sensors=(*own[:joint], offer, *own[joint + 1:]))
+            again = Sizing(problem, other).refined(sized.values, rng, 0)
+            if again is not None:
+                tried.append(_tried(problem, other, again))
+                if again.worst <= math.log(MARGIN):
+                    construction, sized = other, again
+                    break
+    return construction, sized
+
+
+def planned(problem: CalibratorProblem, construction: Construction, sized: Sized, tried: tuple[Tried, ...],
+             rng: np.random.Generator, seed: int) -> CalibratorDesign | None:
+    """The calibrator in round numbers with whole numbers of poses; None where too few postures close."""
+    search = Sizing(problem, construction)
+    values = _rounded(sized.values, search)
+    found, wanted = search.about(replace(sized, values=values), problem.count, rng), int(MORE * problem.count)
+    for _ in range(TRIES):
+        found = [np.concatenate(pair) for pair in zip(found, search.postures(values, wanted, rng, 0.0), strict=True)]
+        if (least := min(map(len, found))) >= wanted:
+            break
+    if least < problem.count:
+        return None
+    machine = carrying(problem.machine, construction, values, problem.workshop, problem.keep)
+    base = pose_problem(machine, problem.count, criterion="A", focus=tuple(problem.length_std), priors=problem.priors,
+                        fixed={name: values.get(name, value) for name, value in problem.fixed.items()},
+                        reserves=problem.reserves)
+    q = np.array([each[in_passes(each[:, measured_along(base.model, group)], SWEEPS if group.drift else 1)]
+                  for group, each in zip(base.groups, (each[:least] for each in found), strict=True)])
+    shares = search.shares(values, q, 400)
+    units = {name: target / math.sqrt(max(float(weight), 1e-6))
+             for (name, target), weight in zip(problem.length_std.items(), shares.weight, strict=True)}
+    drifts = any(group.drift for group in base.groups)  # these depend on the order, too
+    return CalibratorDesign(
+        base, least, seed, base.labels(problem.count), best_poses(base, q, units=units), search.left_out,
+        construction, values,
+        problem.workshop, problem.length_std, problem.least, problem.cost(construction), tried,
+        math.nan if drifts else math.sqrt(shares.bound))
+
+
+def _rounded(values: Mapping[str, float], search: Sizing) -> dict[str, float]:
+    """Sizes in whole millimetres and tenths of a degree, the ball's place in whole centimetres."""
+    step = {size.name: 1e-2 if size.name.startswith(f"{search.fixture}.") else ROUNDED[size.unit]
+            for size in search.sizes}
+    return {name: round(value / step[name]) * step[name] if name in step else value for name, value in values.items()}
