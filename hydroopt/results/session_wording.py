@@ -44,6 +44,4 @@ SESSION_WORDS: dict[Kind, Words] = {
         "By the known load the force of {subject} is read {percent} % too {way}; the masses are corrected for it.",
         "Correct its piston areas or torque per pressure in the machine file, or its sensors' scale, and calibrate "
         "again."),
-    Kind.NO_INTERIOR: Words(
-        "Bounds or bodies leave no interior to sample: intervals are those of least squares without bounds."),
 }

@@ -153,7 +153,6 @@ class Kind(StrEnum):
     SCALE_CONTRADICTED = "readings contradict the scale's model"
     FORCE_SCALE_ASSUMED = "scale of force readings assumed exact"
     FORCE_SCALE_WRONG = "scale of a force reading wrong"
-    NO_INTERIOR = "intervals of least squares"
 
     # kinematic calibration and pose planning
     POSES_LEFT_OUT = "poses left out"

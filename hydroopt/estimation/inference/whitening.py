@@ -65,24 +65,34 @@ class GaussianPosterior:
                                  self.right - self.root @ origin)
 
 
+def marginal(posterior: GaussianPosterior, some: slice) -> GaussianPosterior:
+    """That of some of the parameters, by as many coordinates; without log-det distances."""
+    root = np.asarray(np.linalg.qr(posterior.slope[some].T, mode="r")).T
+    return GaussianPosterior(posterior.offset[some], root, np.eye(len(root)), np.zeros(len(root)))
+
+
+def gaussian(rows: Array, right: Array, nominal: Array, scale: Array) -> GaussianPosterior:
+    """The Gaussian ``exp(−½‖rows·ψ − right‖²)``, `WIDEST` scales (p,) wide about `nominal` (p,) where rows are silent.
+    """
+    p = len(nominal)
+    A, b = np.vstack([rows * scale, np.eye(p) / WIDEST]), np.append(right - rows @ nominal, np.zeros(p))
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    return GaussianPosterior(nominal + scale * (Vt.T @ (U.T @ b / s)), scale[:, None] * Vt.T / s, np.eye(p),
+                             np.zeros(p))
+
+
 def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array, *, priors: bool = True) -> GaussianPosterior:
     """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors, or without them."""
     nominal, scale = problem.parameters.nominal, problem.parameters.scale
-    p = len(nominal)
-
-    def stacked(rows: Array, right: Array) -> tuple[Array, Array]:
-        return (np.vstack([np.vstack([R, rows]) * scale, np.eye(p) / WIDEST]),
-                np.concatenate([r - R @ nominal, right - rows @ nominal, np.zeros(p)]))
-
-    A, b = stacked(*(problem.prior_rows if priors else (np.zeros((0, p)), np.zeros(0))))
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    mean, slope = Vt.T @ (U.T @ b / s), Vt.T / s
-    root, rest = np.eye(p), np.zeros(p)
-    if problem.distance == "log-det":
-        A, b = stacked(*problem.square_rows)
-        triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
-        root, rest = triangle[:p, :p], triangle[:p, p]
-    return GaussianPosterior(nominal + scale * mean, scale[:, None] * slope, root, rest)
+    rows, right = problem.prior_rows if priors else (np.zeros((0, len(nominal))), np.zeros(0))
+    made = gaussian(np.vstack([R, rows]), np.append(r, right), nominal, scale)
+    if problem.distance != "log-det":
+        return made
+    rows, right = problem.square_rows
+    rows = np.vstack([R, rows, np.diag(1 / WIDEST / scale)])
+    left = np.concatenate([r, right, nominal / WIDEST / scale]) - rows @ made.offset
+    p, triangle = len(nominal), np.asarray(np.linalg.qr(np.column_stack([rows @ made.slope, left]), mode="r"))
+    return GaussianPosterior(made.offset, made.slope, triangle[:p, :p], triangle[:p, p])
 
 
 def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
