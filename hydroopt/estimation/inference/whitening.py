@@ -74,10 +74,10 @@ def marginal(posterior: GaussianPosterior, some: slice) -> GaussianPosterior:
 def gaussian(rows: Array, right: Array, nominal: Array, scale: Array) -> GaussianPosterior:
     """The Gaussian ``exp(−½‖rows·ψ − right‖²)``, `WIDEST` scales (p,) wide about `nominal` (p,) where rows are silent.
     """
-    p = len(nominal)
-    A, b = np.vstack([rows * scale, np.eye(p) / WIDEST]), np.append(right - rows @ nominal, np.zeros(p))
+    A, b = _in_scales(rows, right, nominal, scale)
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    return GaussianPosterior(nominal + scale * (Vt.T @ (U.T @ b / s)), scale[:, None] * Vt.T / s, np.eye(p),
+    p = len(nominal)
+    return GaussianPosterior(nominal + scale * (Vt.T @ (U.T @ b / s)), scale[:, None] * (Vt.T / s), np.eye(p),
                              np.zeros(p))
 
 
@@ -89,10 +89,16 @@ def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array, *, priors:
     if problem.distance != "log-det":
         return made
     rows, right = problem.square_rows
-    rows = np.vstack([R, rows, np.diag(1 / WIDEST / scale)])
-    left = np.concatenate([r, right, nominal / WIDEST / scale]) - rows @ made.offset
-    p, triangle = len(nominal), np.asarray(np.linalg.qr(np.column_stack([rows @ made.slope, left]), mode="r"))
+    A, b = _in_scales(np.vstack([R, rows]), np.append(r, right), nominal, scale)
+    p, (mean, slope) = len(nominal), ((made.offset - nominal) / scale, made.slope / scale[:, None])
+    triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
     return GaussianPosterior(made.offset, made.slope, triangle[:p, :p], triangle[:p, p])
+
+
+def _in_scales(rows: Array, right: Array, nominal: Array, scale: Array) -> tuple[Array, Array]:
+    """Rows and right-hand side for the distance of ψ from its nominal value in scales, which is at most `WIDEST`."""
+    return (np.vstack([rows * scale, np.eye(len(scale)) / WIDEST]),
+            np.append(right - rows @ nominal, np.zeros(len(scale))))
 
 
 def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
