@@ -33,8 +33,7 @@ from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.logs.any_log import in_memory
-from hydroopt.machine.flat_loops import closed_flat
-from hydroopt.machine.standing import standing_for
+from hydroopt.machine.calibrated_numbers import closed_flat, standing_for
 from hydroopt.model.model import Model
 
 

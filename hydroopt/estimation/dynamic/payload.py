@@ -29,8 +29,8 @@ from hydroopt.estimation.dynamic.two_session_problem import (
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.model import Model, recent_model

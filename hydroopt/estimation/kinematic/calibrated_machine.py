@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.kinematic.solution import KinematicSolution
-from hydroopt.machine.flat_loops import closed_flat
+from hydroopt.machine.calibrated_numbers import closed_flat
 from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.machine.imus import ACCELEROMETER, Imu
+from hydroopt.machine.sensors import ACCELEROMETER, Imu
 from hydroopt.spatial.inertia import Array
 
 STRAY = 0.1

@@ -31,8 +31,8 @@ from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
 from hydroopt.excitation.poses.readings import Reading, readings
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown

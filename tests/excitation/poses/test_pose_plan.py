@@ -14,10 +14,10 @@ from hydroopt.excitation.poses.exchange import PASSES, candidate_postures, fedor
 from hydroopt.excitation.poses.order import in_passes
 from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
-from hydroopt.machine.calibration_chain import Tracker
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
 from hydroopt.simulation import postures
