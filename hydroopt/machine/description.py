@@ -159,7 +159,7 @@ class MachineDescription(Parts):
         return (*self.cylinders, *self.gas_cylinders, *self.springs)
 
     def main_joint(self, actuator: Actuator) -> str:
-        """The joint of q that an actuator is there to move, see `hydroopt.machine.matching.matched`."""
+        """The joint of q that an actuator is there to move, see `hydroopt.machine.balances.matched`."""
         return self._mains[actuator.name]
 
     @cached_property
