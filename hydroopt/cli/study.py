@@ -12,7 +12,7 @@ import typer
 
 from hydroopt.cli import Group
 from hydroopt.cli.command import Command, refuse
-from hydroopt.cli.options import MotionFile, PoseTables, Processes, Rate, TrainingLogs, refuse_given
+from hydroopt.cli.options import MotionFile, Processes, Rate, TrainingLogs, refuse_given
 from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError, StoppedError
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from hydroopt.study.study import Study
     from hydroopt.study.table import Table
 
-Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
     "Duration of the motion [s]; 33.28 if not given."))]
@@ -36,7 +35,7 @@ app = typer.Typer(cls=Group, add_completion=False, rich_markup_mode=None)
 
 @app.callback()
 def study() -> None:
-    """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
+    """Monte Carlo or bootstrap: DIR gets every cell, results.csv, summary.json and report.html.
 
     The same command resumes an interrupted study.
 
@@ -48,7 +47,10 @@ def study() -> None:
 @command(*ANSWER, "map_file", "parameter_set", "seed")
 def montecarlo(
     run: Run,
-    cells: Cells = 100,
+    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
+    vary: Annotated[list[str] | None, typer.Option(help=(
+        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
+        "of random motions; several make a grid."))] = None,
     method: MethodName = "sdp",
     motion: MotionFile = None,
     duration: Duration = None,
@@ -57,82 +59,7 @@ def montecarlo(
     scheduler: Scheduler = None,
 ) -> None:
     """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
-    prepare = _montecarlo(run, cells, method, motion, duration, rate, {})
-    _run(run, prepare, processes, scheduler)
-
-
-@app.command(cls=Command)
-@command(*ANSWER, "map_file", "parameter_set", "seed")
-def sweep(
-    run: Run,
-    vary: Annotated[list[str], typer.Option(help=(
-        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
-        "of random motions; several make a grid."))],
-    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
-    method: MethodName = "sdp",
-    motion: MotionFile = None,
-    duration: Duration = None,
-    rate: Rate = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-) -> None:
-    """Repeat the Monte Carlo study over a grid of sensor errors, durations and rates."""
-    prepare = _montecarlo(run, cells, method, motion, duration, rate, _grid(vary))
-    _run(run, prepare, processes, scheduler)
-
-
-@app.command(cls=Command)
-@command(*ANSWER, "map_file", "parameter_set", "seed", "treat")
-def bootstrap(
-    run: Run,
-    logs: TrainingLogs,
-    cells: Cells = 100,
-    method: MethodName = "sdp",
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-) -> None:
-    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.cli.identify import method_of
-        from hydroopt.logs.log_files import read_log
-        from hydroopt.study import bootstrap as study
-
-        read = run.read(read_log, logs)
-        return study.bootstrap(described, read, cells=cells, seed=run.seed, method=method_of(method)), study.summary
-
-    _run(run, prepare, processes, scheduler)
-
-
-@app.command(cls=Command)
-@command(*ANSWER, "map_file", "parameter_set", "seed", "fix")
-def multistart(
-    run: Run,
-    tables: PoseTables,
-    cells: Cells = 100,
-    method: Annotated[str, typer.Option(help="Method of estimation: see hydroopt calibrate.")] = "joint",
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-) -> None:
-    """Calibrate the geometry from random initial guesses: which optima they lead to."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.estimation.kinematic.problem import calibration_problem
-        from hydroopt.logs.poses import read_pose_files
-        from hydroopt.study import multistart as study
-
-        read = read_pose_files(tables, mapping=run.map_file)
-        problem = calibration_problem(described, read)
-        held = problem.fixing(**run.fixed(problem.parameters)).fixed
-        return study.multistart(described, read, cells=cells, seed=run.seed, method=method, fixed=held), study.summary
-
-    _run(run, prepare, processes, scheduler)
-
-
-Summary = Callable[["Study", "Table"], dict[str, Any]]
-"""What a kind of study makes of its table."""
-
-
-def _montecarlo(run: Run, cells: int, method: str, motion: Path | None, duration: float | None, rate: float | None,
-                grid: dict[str, list[float]]) -> Callable[[Machine], tuple[Study, Summary]]:
+    grid = _grid(vary or ())
     if motion is not None:
         refuse_given({"--duration": duration, "--rate": rate}, "a given motion has its own duration and rate",
                      "leave it out, or --motion")
@@ -155,7 +82,33 @@ def _montecarlo(run: Run, cells: int, method: str, motion: Path | None, duration
                                 motion_sha256=sha256, vary=grid, rate=rate,
                                 duration=study.DURATION if duration is None else duration), study.summary
 
-    return prepare
+    _run(run, prepare, processes, scheduler)
+
+
+@app.command(cls=Command)
+@command(*ANSWER, "map_file", "parameter_set", "seed", "treat")
+def bootstrap(
+    run: Run,
+    logs: TrainingLogs,
+    cells: Annotated[int, typer.Option(help="Number of cells.", min=1)] = 100,
+    method: MethodName = "sdp",
+    processes: Processes = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.cli.identify import method_of
+        from hydroopt.logs.log_files import read_log
+        from hydroopt.study import bootstrap as study
+
+        read = run.read(read_log, logs)
+        return study.bootstrap(described, read, cells=cells, seed=run.seed, method=method_of(method)), study.summary
+
+    _run(run, prepare, processes, scheduler)
+
+
+Summary = Callable[["Study", "Table"], dict[str, Any]]
+"""What a kind of study makes of its table."""
 
 
 def _run(run: Run, prepare: Callable[[Machine], tuple[Study, Summary]], processes: int | None,
@@ -222,9 +175,6 @@ def _print(content: dict[str, Any], output: Path) -> None:
         if ratios:
             echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
                        f"{ratios[0]:.3g} to {ratios[-1]:.3g}")
-    for optimum in content.get("optima", ())[:5]:
-        echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
-                   f"{optimum['farthest_std']:.3g} σ from the best")
     echo(f"{output / 'report.html'}")
 
 

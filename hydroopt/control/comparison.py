@@ -16,7 +16,7 @@ from hydroopt.control.closed_loop import simulate, tip
 from hydroopt.control.diagnostics import SMALL_MARGINS, UNSTABLE, control_diagnostics, margin_diagnostics
 from hydroopt.control.draws import Draw, spread
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
-from hydroopt.control.loop_margins import Margin, margins, with_resonances
+from hydroopt.control.loop_margins import Margin, frequencies, margins
 from hydroopt.control.loops import Loops
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
@@ -335,7 +335,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, loops))
     shown = [loops for _, loops in analysed.values()]
-    omega = with_resonances(shown[0].omega, [each for loops in shown for each in (loops.plant, loops.closed)])
+    omega = frequencies([each for loops in shown for each in (loops.plant, loops.closed)])
     fine = {kind: loops.at(omega) for kind, (_, loops) in analysed.items()}
     outcomes = [replace(outcome, loops=fine[type(controller)])
                 for outcome, (*_, controller) in zip(outcomes, candidates, strict=True)]

@@ -15,9 +15,10 @@ from hydroopt.results.machine_diagnostics import machine_diagnostics
 
 SMALL_MARGINS, UNSTABLE = "small margins", "loop unstable in a posture"
 """Kinds of diagnostics by which a controller's use is decided."""
-SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 45.0, 0.5
-"""Gain, phase and disk margins below which a loop is reported; within a disk margin of 0.5 the gain may change by a
-factor of 1.67, or the phase by 28 degrees, or both at once by less."""
+SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 30.0, 0.5
+"""Gain, phase and disk margins below which a loop is reported. A sensitivity of 2 leaves so much: gains are tuned to
+more, on the machine as it is known, so that the true one may differ. Within a disk margin of 0.5 the gain may change by
+a factor of 1.67, or the phase by 28 degrees, or both at once by less."""
 LITTLE_DAMPING = 0.02
 """Damping ratio below which an oscillation of a closed loop is reported."""
 SIGMAS = 2.0

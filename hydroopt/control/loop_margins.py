@@ -69,21 +69,21 @@ class Margin(NamedTuple):
                 "damping_without_feedback": self.undisturbed, "disk_margin": number(self.disk)}
 
 
-def frequencies(period: float, count: int = FREQUENCIES) -> Array:
-    """Frequencies [rad/s] in equal ratios up to half the sampling rate."""
-    return np.geomspace(2 * np.pi * SLOWEST, np.pi, count) / period
+def frequencies(systems: Sequence[StateSpace]) -> Array:
+    """Frequencies [rad/s] at which loops of sampled systems are analysed, up to half the sampling rate: in equal ratios
+    and about the systems' resonances.
 
-
-def with_resonances(omega: Array, systems: Sequence[StateSpace]) -> Array:
-    """Frequencies [rad/s], and those about the resonances of sampled systems between the first and the last of them."""
-    found = [omega]
+    The Nyquist curve runs through a circle within the width of a resonance, which equal ratios miss.
+    """
+    period = systems[0].dt
+    found = [np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period]
     for system in systems:
         size, damping, poles = _modes(system)
         damping = np.abs(damping)
         light = (damping < LITTLE_DAMPING) & (poles.imag > 0)
         found.append((size[light, None] * (1 + damping[light, None] * WIDTHS)).ravel())
     every = np.unique(np.concatenate(found))
-    return np.asarray(every[(every >= omega[0]) & (every <= omega[-1])])
+    return np.asarray(every[(every >= found[0][0]) & (every <= found[0][-1])])
 
 
 def response(system: StateSpace, z: Array) -> Array:
@@ -112,13 +112,9 @@ def responses(plant: StateSpace, feedback: StateSpace, omega: Array) -> Array:
 
 def margins(plant: StateSpace, feedback: StateSpace, names: Sequence[str],
             where: str) -> tuple[list[Margin], Array, Array]:
-    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from.
-
-    Those about resonances are among them: the Nyquist curve runs through a circle within the width of one, which equal
-    ratios miss.
-    """
+    """Margins of all loops, with the `frequencies` [rad/s] and L(jω) (n, ω) that they were read from."""
     closed = control.feedback(plant, feedback, sign=1)
-    omega = with_resonances(frequencies(plant.dt), [plant, closed])
+    omega = frequencies([plant, closed])
     L = responses(plant, feedback, omega)
     damping = (*_least_damping(closed), _least_damping(plant, STANDING)[0])
     return [_margin(where, name, omega, curve, float(disk), damping)
@@ -128,8 +124,7 @@ def margins(plant: StateSpace, feedback: StateSpace, names: Sequence[str],
 def disk_margins(plant: StateSpace, feedback: StateSpace) -> Array:
     """The disk margins (n,) of `margins` alone; zero where the closed loop is not stable."""
     closed = control.feedback(plant, feedback, sign=1)
-    omega = with_resonances(frequencies(plant.dt), [plant, closed])
-    return _disks(responses(plant, feedback, omega)) * (_least_damping(closed)[0] > 0)
+    return _disks(responses(plant, feedback, frequencies([plant, closed]))) * (_least_damping(closed)[0] > 0)
 
 
 def _disks(L: Array) -> Array:

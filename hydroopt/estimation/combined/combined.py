@@ -6,7 +6,7 @@ and the parameters ψ of bodies and friction:
     Σ ((q_read − q)/σ_q)² + λ/σ_q²·∫ q'''² dt + Σ |rows(g, q, calibrator)|² + Σ ((f − f(q, q̇, q̈, ψ, g))/σ_f)²
         + ((g − g₀)/σ_g)² + …  →  min over c, g and ψ.
 
-The sweep along time of `hydroopt.estimation.dynamic.fitted_motion` eliminates the motion, then g is eliminated from
+`hydroopt.estimation.dynamic.fitted_motion` eliminates the motion, then g is eliminated from
 what is left: ``‖R·ψ − r‖²``, to which priors, constraints and samplers of ψ apply as to any other logs. With ψ known, g
 is Gaussian about a linear function of ψ, so that the posterior of ψ gives that of both, their correlation included.
 """

@@ -48,4 +48,4 @@ class ForcesByGeometry:
         """The forces of an experiment, linearised about its motion, ψ (p,) and g (k,)."""
         force, by_q, by_qd, by_qdd, by_psi, by_g = self.over(*data.inputs(), psi, g)
         right = data.force - force[:, :, 0] + by_psi @ psi + by_g @ g
-        return Forces(np.stack([by_q, by_qd, by_qdd], axis=2), by_psi, by_g, right)
+        return Forces(np.array([by_q, by_qd, by_qdd]), by_psi, by_g, right)

@@ -170,7 +170,8 @@ def _spline(machine: Machine, readings: Readings, data: tuple[Observations, ...]
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
     if memory := max(each.memory for each in data):  # what lagging sensors remember was before the first reading
         stamps = np.insert(stamps, 0, stamps[0] - memory - spacing)
-    return Stretch(Spline.over(stamps, spacing, times, guess), data)
+    intervals = int(np.ceil((stamps[-1] - stamps[0]) / spacing))
+    return Stretch(Spline.over(stamps, intervals, guess.shape[1]).near(times, guess), data)
 
 
 def _numbered(table: Poses) -> NDArray[np.intp]:
