@@ -40,9 +40,8 @@ def calibrate(
     """
     import numpy as np
 
-    from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
-    from hydroopt.estimation.kinematic.calibrate import without_suspects
-    from hydroopt.estimation.kinematic.calibration import inputs_of
+    from hydroopt.estimation.kinematic.calibration import calibrate as solve_calibration
+    from hydroopt.estimation.kinematic.calibration import inputs_of, without_suspects
     from hydroopt.estimation.kinematic.compliance_choice import choose_compliance, compliant
     from hydroopt.estimation.kinematic.problem import calibration_problem
     from hydroopt.logs.poses import read_pose_files

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
     "Duration of the motion [s]; 33.28 if not given."))]
+Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
     "certificates of Dask's configuration.")]
@@ -90,7 +91,7 @@ def montecarlo(
 def bootstrap(
     run: Run,
     logs: TrainingLogs,
-    cells: Annotated[int, typer.Option(help="Number of cells.", min=1)] = 100,
+    cells: Cells = 100,
     method: MethodName = "sdp",
     processes: Processes = None,
     scheduler: Scheduler = None,
