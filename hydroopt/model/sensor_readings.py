@@ -56,17 +56,11 @@ class SensorReadings:
         made = ca.Function("sensor_readings", [*own, g], [ca.densify(out) for out in outputs],
                            ["q", "qd", "qdd", "g"], ["readings", "by_q", "by_qd", "by_qdd", "by_g"])
         self.function = program(made).function()
-        self._values = program(ca.Function("sensor_values", [*own, g], [ca.densify(values)])).function()
 
     def __call__(self, q: Array, qd: Array, qdd: Array, g: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Readings (N, m), and their derivatives by q, qd, qdd (N, m, n) and g (N, m, p), at N states."""
         values, *by = self._runner.over(self.function, q, qd, qdd, np.broadcast_to(g, (len(q), len(g))))
         return values[:, :, 0], by[0], by[1], by[2], by[3]
-
-
-    def values(self, q: Array, qd: Array, qdd: Array, g: Array) -> Array:
-        """Readings (N, m) alone."""
-        return self._runner.over(self._values, q, qd, qdd, np.broadcast_to(g, (len(q), len(g))))[0][:, :, 0]
 
 
 def stated_sigma(machine: Machine, number: Number) -> float | None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.report.charts import Curves
-from hydroopt.report.intervals import spread
 from hydroopt.report.numbers import NONE, p_value, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView, Tint
+from hydroopt.report.tables import spread
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.payload import Payload
@@ -45,9 +45,9 @@ def _page(template: str, answer: SessionAnswer, title: str, roles: Iterable[str]
           tints: tuple[Tint, ...] = (), **more: Any) -> str:
     """A page on sessions: what all such pages have, and what its template needs beside."""
     return document(
-        template, scene=SceneView(answer.scene, tints=tints), verdict=answer.verdict, machine=answer.machine,
+        template, answer=answer, scene=SceneView(answer.scene, tints=tints), machine=answer.machine,
         title=title, contradictions=answer.contradictions, files=files,
-        answers=[finding.text for finding in answer.findings], diagnostics=answer.diagnostics,
+        answers=[finding.text for finding in answer.findings],
         logs=[_session_row(role, each, answer.machine)
               for role, each in zip(roles, answer.sessions.values(), strict=True)], **more)
 

@@ -31,7 +31,7 @@ class Readings(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Forces of N samples, linearised: ``by_motion·δ + by_psi·ψ + by_numbers·g = right``; (N, r, 3, n) by q, qd and
+    """Forces of N samples, linearised: ``by_motion·δ + by_psi·ψ + by_numbers·g = right``; (3, N, r, n) by q, qd and
     qdd, (N, r, p), (N, r, k) and (N, r)."""
 
     by_motion: Array

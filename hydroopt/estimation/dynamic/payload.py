@@ -18,6 +18,7 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
 from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
 from hydroopt.estimation.dynamic.training_logs import explained
+from hydroopt.estimation.dynamic.usability import scale_assumed
 from hydroopt.estimation.inference.band_variances import f_test, students
 from hydroopt.estimation.inference.conditions import consistency, scaled_bodies
 from hydroopt.estimation.inference.convex_program import cones, nearest_point
@@ -25,8 +26,8 @@ from hydroopt.estimation.inference.mixed_model import Projected, projected
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian, marginal
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.model import Model, recent_model
@@ -38,7 +39,6 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
@@ -119,23 +119,30 @@ class Payload(SessionAnswer):
         mass = rounded(self.mass.value, self.mass.std) if self.mass.identifiable else ""
         link = (self.link,)
         if self.p_value > NO_LOAD:
-            return (Diagnostic(Kind.NO_LOAD_DETECTED, link, {
+            return (Diagnostic.of("no payload detected", link, {
                 "p_value": self.p_value, "probability": probability(self.p_value),
-                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""}),)
+                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""},
+                "No load is detected on {subject} ({probability}){mass}."),)
         if mass:
             place = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
-            return (Diagnostic(Kind.LOAD_IDENTIFIED, link, {"mass": mass, "place": place}),)
-        return (Diagnostic(Kind.LOAD_MASS_NOT_IDENTIFIABLE, link, {
-            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""}),)
+            return (Diagnostic.of("payload identified", link, {"mass": mass, "place": place}, (
+                "The load on {subject} is {mass} kg{place}.")),)
+        return (Diagnostic.of("mass of the payload not identifiable", link, {
+            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""},
+            "These logs do not identify the mass of the load on {subject}{moment}."),)
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the logs, what the intervals assume, and what of the load these motions do not identify."""
         missing = tuple(one.name for one in self.com if not one.identifiable)
-        partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
+        partly = (Diagnostic.of("payload partly identifiable", missing, {}, (
+            "These motions do not identify {subject} of the load."),
+            "Move the load about more axes."),) if missing else ()
         if not self.mass.identifiable:
-            partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
-        scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
+            partly = (Diagnostic.of("mass of the payload not separable", (self.link,), {}, (
+                "These motions cannot separate the mass of the load on {subject} from its other parameters."),
+                "Vary speed and range of the motion with the load."),)
+        scale = () if self.gains else (scale_assumed(),)
         return (*self.of_logs, *partly, *scale)
 
     @cached_property
@@ -222,7 +229,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         >>> unloaded, loaded = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
         >>> load = ho.payload(model.machine, [unloaded], [loaded], link="lift")
         >>> load.findings[0].kind
-        <Kind.NO_LOAD_DETECTED: 'no payload detected'>
+        'no payload detected'
     """
     machine = machine_of(machine, "payload")
     gain = (machine.faults.gain or 0.0) if gain is None else gain

@@ -109,11 +109,15 @@ def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array
         taken: (m, n) which of them count.
         covariance: (n, n), not singular.
     """
-    made = []
+    return np.asarray((whitening(taken, covariance) @ np.where(taken[:, :, None], block, 0.0))[taken])
+
+
+def whitening(taken: NDArray[np.bool_], covariance: Array) -> Array:
+    """Matrices (m, n, n) that whiten the rows of each sample, as of `whitened`; rows that do not count become zero."""
+    made = np.zeros((*taken.shape, taken.shape[1]))
     for pattern in np.unique(taken, axis=0):
         here = np.flatnonzero(pattern)
         if here.size:
-            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
-            chosen = block[np.all(taken == pattern, axis=1)][:, here]
-            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
-    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))
+            samples = np.flatnonzero(np.all(taken == pattern, axis=1))
+            made[np.ix_(samples, here, here)] = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(here, here)]))
+    return made

@@ -11,8 +11,8 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.calibrator.construction import BRACKET, Construction, SensorOffer, Workshop
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.notebook_card import Shown
 

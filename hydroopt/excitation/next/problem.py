@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry
 from hydroopt.excitation.next.additions import Addition, additions, equipped
 from hydroopt.excitation.next.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
 from hydroopt.excitation.next.knowledge import Knowledge
@@ -31,8 +31,8 @@ from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
 from hydroopt.excitation.poses.readings import Reading, readings
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown

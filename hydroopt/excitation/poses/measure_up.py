@@ -25,8 +25,8 @@ from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, pose_prob
 from hydroopt.excitation.poses.readings import DRIVE, Reading, readings
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.notebook_card import Shown
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array

@@ -10,17 +10,14 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.combined import _about, _beside, identify_with_geometry
-from hydroopt.estimation.combined.estimate import CombinedEstimate
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.estimation.combined.log_geometry import LogGeometry
-from hydroopt.estimation.combined.log_postures import postures
+from hydroopt.estimation.combined.estimate import CombinedEstimate, _about, _beside, identify_with_geometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeometry, postures
 from hydroopt.estimation.combined.problem import CombinedProblem, combined_problem
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.kernels.native import FEW
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
@@ -153,7 +150,8 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
     (one,), psi = found.motion(found.psi), found.psi
     assert isinstance(one.beside, LogGeometry)
     beside, (stretch,) = one.beside, one.stretches
-    count, t = len(stretch.coefficients) - 5, noisy.t
+    c = stretch.path.coefficients
+    count, t = len(c) - 5, noisy.t
     spacing = (t[-1] - t[0]) / count
     knots = t[0] + spacing * np.arange(-5, count + 6)
     points, weights = np.polynomial.legendre.leggauss(5)
@@ -198,19 +196,19 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
 
     assert found.numbers is not None
     scale = np.sqrt(np.diag(found.numbers.covariance))
-    best = objective(beside.theta, psi, stretch.coefficients)
+    best = objective(beside.theta, psi, c)
     rng = np.random.default_rng(1)
     slopes = []
     for k in range(0, len(scale), 3):
         step = np.zeros(len(beside.theta))
         step[np.flatnonzero(beside.postures.free)[k]] = 0.05 * scale[k]
-        slopes.append([objective(beside.theta + sign * step, psi, stretch.coefficients) - best for sign in (1, -1)])
+        slopes.append([objective(beside.theta + sign * step, psi, c) - best for sign in (1, -1)])
     spread = np.sqrt(np.diag(np.linalg.inv(found.R.T @ found.R + about.prior_rows[0].T @ about.prior_rows[0])))
     for _ in range(6):
         step = 0.05 * spread * rng.standard_normal(len(psi)) / np.sqrt(len(psi))
-        slopes.append([objective(beside.theta, psi + sign * step, stretch.coefficients) - best for sign in (1, -1)])
-        bend = 1e-5 * rng.standard_normal(stretch.coefficients.shape)
-        slopes.append([objective(beside.theta, psi, stretch.coefficients + sign * bend) - best for sign in (1, -1)])
+        slopes.append([objective(beside.theta, psi + sign * step, c) - best for sign in (1, -1)])
+        bend = 1e-5 * rng.standard_normal(c.shape)
+        slopes.append([objective(beside.theta, psi, c + sign * bend) - best for sign in (1, -1)])
     rise, fall = np.array(slopes).T
     assert np.all(rise + fall > 0)
     # of a quadratic about its optimum both changes are alike; otherwise the optimum is that part of half a step away
