@@ -127,7 +127,7 @@ def weigh(
 
 def _c_of(found: Weighing, *, single: bool, measured: bool, directory: Path) -> Mapping[str, str | bytes | None]:
     """The scale that weighed as C."""
-    from hydroopt.codegen.scale_code import scale_code
+    from hydroopt.codegen.folder import scale_code
 
     made = scale_code(found.scale, found.logs[0].equations.smoothed.kernel.step, needed=found.needed, single=single,
                       measured=measured)
