@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.estimation.kinematic.observability import Observability
-from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
-from hydroopt.excitation.poses.readings import readings
+from hydroopt.estimation.kinematic.observability import Observability, linearise, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseLabels, PoseProblem, calibration_of
+from hydroopt.excitation.selection.readings import readings
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.use import courses
 from hydroopt.limits.watch import IN_PRINT, Watch, reach, watch
@@ -37,9 +38,7 @@ class PosePlan(Answer):
     Attributes:
         problem: what was planned; `candidates` postures of each group, drawn with `seed`, were to choose from.
         labels: what the poses belong to.
-        q: (N, n) joint vectors [rad, m]; `lengths` (N, c) of all cylinders [m].
-        observability: which parameters these poses identify, and how well.
-        log_det: logarithm of the determinant of the scaled information over the identifiable directions.
+        q: (N, n) joint vectors [rad, m].
         left_out: random postures that were left out to keep reserves.
 
     >>> import hydroopt
@@ -58,9 +57,6 @@ class PosePlan(Answer):
     seed: int
     labels: PoseLabels
     q: Array
-    lengths: Array
-    observability: Observability
-    log_det: float
     left_out: LeftOut
 
     job = Job.POSE_PLAN
@@ -79,6 +75,29 @@ class PosePlan(Answer):
     def machine(self) -> Machine:
         """What the poses are planned for."""
         return self.problem.machine
+
+    @cached_property
+    def calibration(self) -> CalibrationProblem:
+        """The calibration problem that measuring the poses without noise gives."""
+        return calibration_of(self.problem, self.q, self.labels)
+
+    @cached_property
+    def observability(self) -> Observability:
+        """Which parameters these poses identify, and how well."""
+        return observability(self.calibration, linearise(self.calibration, self.calibration.parameters.nominal, self.q))
+
+    @cached_property
+    def log_det(self) -> float:
+        """Logarithm of the determinant of the scaled information over the identifiable directions."""
+        seen = self.observability
+        total = Observability(seen.names, seen.scale, seen.information + seen.prior, 0 * seen.prior)
+        return float(np.linalg.slogdet(total.identifiable.T @ total.information @ total.identifiable)[1])
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(N, c) of all cylinders [m]."""
+        model = self.problem.model
+        return model.over(model.lengths, model.parameters.nominal, self.q)[0][:, :, 0]
 
     @property
     def method(self) -> str:

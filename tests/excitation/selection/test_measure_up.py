@@ -15,8 +15,7 @@ from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
-from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
-from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
+from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readings, measure_up_problem
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydroopt.excitation.next.goals import Goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import Measurement
-from hydroopt.excitation.poses.posture_readings import gains
+from hydroopt.excitation.criteria import gains
+from hydroopt.excitation.selection.goals import Goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import Measurement
 from hydroopt.spatial.inertia import Array
 
 PARTS = 12
@@ -33,20 +33,6 @@ def lack(goals: Sequence[Goal], covariance: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
-    """What is known after some measurements, and which parts of each kind (by name) are taken."""
-
-    knowledge: Knowledge
-    taken: dict[str, tuple[int, ...]]
-
-    def after(self, measurement: Measurement, part: int) -> State:
-        """The state after one part of a measurement."""
-        taken = {**self.taken, measurement.name: (*self.taken.get(measurement.name, ()), part)}
-        return State(self.knowledge.with_rows(measurement.rows[part], measurement.own,
-                                              geometry_exact=measurement.geometry_exact), taken)
-
-
-@dataclass(frozen=True, eq=False)
 class Step:
     """Parts of a measurement that are taken together.
 
@@ -62,7 +48,7 @@ class Step:
     parts: tuple[int, ...]
     minutes: float
     gain: float
-    after: State
+    after: Knowledge
 
     @property
     def rate(self) -> float:
@@ -75,30 +61,30 @@ class Step:
                     self.gain + later.gain, later.after)
 
 
-def best_parts(measurement: Measurement, goals: Sequence[Goal], state: State, left: float = np.inf) -> Step | None:
+def best_parts(measurement: Measurement, goals: Sequence[Goal], known: Knowledge, left: float = np.inf) -> Step | None:
     """The parts of a measurement with the most gain per minute, one by one; None where none is left or affordable.
 
     Args:
         measurement: of which to take some.
         goals: to reach.
-        state: before it.
+        known: before it.
         left: minutes that may be spent.
     """
-    spent = 0.0 if measurement.name in state.taken else measurement.set_up
-    before = lack(goals, state.knowledge.covariance)
+    spent = 0.0 if measurement.name in known.taken else measurement.set_up
+    before = lack(goals, known.covariance)
     free = np.ones(len(measurement.rows), dtype=bool)
-    free[list(state.taken.get(measurement.name, ()))] = False
+    free[list(known.taken.get(measurement.name, ()))] = False
     chosen, best, most = list[int](), None, 0.0
     for _ in range(PARTS):
         spent += measurement.minutes
         if spent > left or not free.any():
             break
-        k = int(np.argmax(np.where(free, _slope(goals, state.knowledge, measurement), -1.0)))
+        k = int(np.argmax(np.where(free, _slope(goals, known, measurement), -1.0)))
         free[k] = False
         chosen.append(k)
-        state = state.after(measurement, k)
-        now = lack(goals, state.knowledge.covariance)
-        step = Step(measurement, tuple(chosen), spent, before - now, state)
+        known = known.after(measurement, k)
+        now = lack(goals, known.covariance)
+        step = Step(measurement, tuple(chosen), spent, before - now, known)
         most = max(most, step.rate)
         if best is not None and step.rate < PAST * most:
             break
@@ -108,27 +94,27 @@ def best_parts(measurement: Measurement, goals: Sequence[Goal], state: State, le
     return best
 
 
-def _slope(goals: Sequence[Goal], knowledge: Knowledge, measurement: Measurement) -> Array:
+def _slope(goals: Sequence[Goal], known: Knowledge, measurement: Measurement) -> Array:
     """(K,) decrease of the goals' relative variances by each part, to first order in what it changes."""
-    covariance, total = knowledge.covariance, np.zeros(len(measurement.rows))
+    covariance, total, own = known.covariance, np.zeros(len(measurement.rows)), measurement.own
     for goal in goals:
         if (std := goal.std(covariance)) > goal.target:
-            task = goal.rows(covariance) @ knowledge.passed_on
-            total += gains(measurement.rows, knowledge.first, task, measurement.own) / std**2
+            task = goal.rows(covariance) @ known.passed_on
+            total += gains(measurement.rows, known.first[np.ix_(own, own)], known.first[own] @ task.T) / std**2
     return total
 
 
-def choices(measurements: Sequence[Measurement], goals: Sequence[Goal], state: State,
+def choices(measurements: Sequence[Measurement], goals: Sequence[Goal], known: Knowledge,
             left: float = np.inf) -> list[Step]:
     """What each kind of measurement would gain next, the most per minute first."""
-    found = (best_parts(each, goals, state, left) for each in measurements)
+    found = (best_parts(each, goals, known, left) for each in measurements)
     return sorted((step for step in found if step is not None), key=lambda step: -step.rate)
 
 
-def next_step(measurements: Sequence[Measurement], goals: Sequence[Goal], state: State, left: float = np.inf, *,
+def next_step(measurements: Sequence[Measurement], goals: Sequence[Goal], known: Knowledge, left: float = np.inf, *,
               lookahead: bool = True) -> Step | None:
     """The step with the most gain per minute, alone or together with the best one after it; None if there is none."""
-    found = choices(measurements, goals, state, left)
+    found = choices(measurements, goals, known, left)
     if not found:
         return None
     best, rate = found[0], found[0].rate
@@ -140,12 +126,12 @@ def next_step(measurements: Sequence[Measurement], goals: Sequence[Goal], state:
     return best
 
 
-def sequence(measurements: Sequence[Measurement], goals: Sequence[Goal], state: State, *, minutes: float = np.inf,
+def sequence(measurements: Sequence[Measurement], goals: Sequence[Goal], known: Knowledge, *, minutes: float = np.inf,
              least: float = 0.0, lookahead: bool = True) -> Iterator[Step]:
     """Steps until all goals are met, the minutes are spent, or none gains more than `least` per minute."""
-    while lack(goals, state.knowledge.covariance) > 0:
-        step = next_step(measurements, goals, state, minutes, lookahead=lookahead)
+    while lack(goals, known.covariance) > 0:
+        step = next_step(measurements, goals, known, minutes, lookahead=lookahead)
         if step is None or step.rate <= least:
             return
         yield step
-        state, minutes = step.after, minutes - step.minutes
+        known, minutes = step.after, minutes - step.minutes

@@ -12,10 +12,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.next.goals import Goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.problem import WhatNextProblem
-from hydroopt.excitation.next.sequence import State, Step, choices, lack, sequence
+from hydroopt.excitation.selection.goals import Goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.sequence import Step, choices, lack, sequence
+from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
 from hydroopt.files import encoded
 from hydroopt.input_file import read_text
 from hydroopt.machine.machine import Machine
@@ -90,7 +90,7 @@ class WhatNext(Answer):
     @cached_property
     def known(self) -> tuple[Knowledge, ...]:
         """What is known before the steps and after each of them."""
-        return (self.problem.knowledge, *(step.after.knowledge for step in self.steps))
+        return (self.problem.knowledge, *(step.after for step in self.steps))
 
     @cached_property
     def stds(self) -> Array:
@@ -167,7 +167,7 @@ class WhatNext(Answer):
         def entry(step: Step) -> dict[str, Any]:
             return {"measurement": step.measurement.name, "parts": list(step.parts), "minutes": number(step.minutes),
                     "gain": number(step.gain), "gain_per_minute": number(step.rate),
-                    "std": [number(goal.std(step.after.knowledge.covariance)) for goal in self.problem.goals]}
+                    "std": [number(goal.std(step.after.covariance)) for goal in self.problem.goals]}
         return {"goals": [{"name": goal.name, "unit": goal.unit, "target": number(goal.target), "std": number(before),
                            "std_after": number(after)} for goal, before, after in zip(
                                self.problem.goals, self.stds[0], self.stds[-1], strict=True)],
@@ -189,13 +189,12 @@ class WhatNext(Answer):
     def _posture_rows(self, step: Step) -> list[dict[str, Any]]:
         """Rows of a step's postures: what they belong to, and joint positions, as tables of poses have them; none of a
         calibrator that is not attached."""
-        measurement, machine = step.measurement, self.problem.machine
+        measurement, units = step.measurement, self.problem.machine.channel_units
         assert measurement.labels is not None
-        columns = [(f"{joint}.q", machine.channel_units[f"{joint}.q"]) for joint in self.problem.chain.joints]
+        assert measurement.q is not None
+        columns = [f"{joint}.q [{units[f'{joint}.q']}]" for joint in measurement.joints]
         return [{"stage": measurement.labels.stage[k], "fixture": measurement.labels.fixture[k], "pose": str(at + 1),
-                 **{f"{name} [{unit}]": value for (name, unit), value in
-                    zip(columns, measurement.q[k].tolist(), strict=True) if np.isfinite(value)}}
-                for at, k in enumerate(step.parts)]
+                 **dict(zip(columns, measurement.q[k].tolist(), strict=True))} for at, k in enumerate(step.parts)]
 
     def sheet(self) -> str:
         """What to do, step by step, as plain text."""
@@ -204,13 +203,13 @@ class WhatNext(Answer):
             text.append(self.problem.left_out.sentence)
         for k, step in enumerate(self.steps, start=1):
             text += ["", f"{k}. {self.described(step)}", f"   {self._gain(k)}"]
-            if k == 1 and step.measurement.labels is not None:
-                joints = self.problem.chain.joints
+            if k == 1 and step.measurement.q is not None:
+                units = self.problem.machine.channel_units
                 for at, part in enumerate(step.parts):
                     places = ", ".join(
-                        f"{joint} {1e3 * value:.0f} mm" if self.problem.machine.channel_units[f"{joint}.q"] == "m" else
+                        f"{joint} {1e3 * value:.0f} mm" if units[f"{joint}.q"] == "m" else
                         f"{joint} {np.degrees(value):.1f} deg" for joint, value in
-                        zip(joints, step.measurement.q[part].tolist(), strict=True) if np.isfinite(value))
+                        zip(step.measurement.joints, step.measurement.q[part].tolist(), strict=True))
                     text.append(f"   posture {at + 1}: {places}")
         if self.alternatives:
             text += ["", "What each kind of measurement would gain now, per minute:"]
@@ -240,15 +239,15 @@ def plan_next(problem: WhatNextProblem, *, minutes: float = np.inf, least: float
         raise ProblemError(f"{least:g} is not a gain per minute", where="least gain", remedy="give a number from 0 on")
     with threadpool_limits(limits=1, user_api="blas"):
         progress("computing what each measurement tells", 0.1)
-        goals, measurements, start = problem.goals, problem.measurements, State(problem.knowledge, {})
+        goals, measurements, start = problem.goals, problem.measurements, problem.knowledge
         alternatives = choices(measurements, goals, start, minutes)
-        steps, before = list[Step](), lack(goals, start.knowledge.covariance)
+        steps, before = list[Step](), lack(goals, start.covariance)
         left = minutes
         for step in sequence(measurements, goals, start, minutes=minutes, least=least, lookahead=lookahead):
             joins = steps and steps[-1].measurement is step.measurement
             steps[-1:] = [steps[-1].joined(step)] if joins else [*steps[-1:], step]
             left -= step.minutes
-            now = lack(goals, step.after.knowledge.covariance)
+            now = lack(goals, step.after.covariance)
             progress(f"{step.measurement.name}: {minutes - left:.0f} min" if np.isfinite(left) else
                      step.measurement.name, 0.3 + 0.7 * (1 - now / before))
         last = steps[-1].after if steps else start
@@ -256,9 +255,9 @@ def plan_next(problem: WhatNextProblem, *, minutes: float = np.inf, least: float
                         minutes, least)
 
 
-def _stopped(goals: Sequence[Goal], measurements: Sequence[Any], state: State, left: float, least: float) -> str:
-    if lack(goals, state.knowledge.covariance) == 0:
+def _stopped(goals: Sequence[Goal], measurements: Sequence[Any], known: Knowledge, left: float, least: float) -> str:
+    if lack(goals, known.covariance) == 0:
         return "all targets are met"
-    if not choices(measurements, goals, state, left):
-        return "no measurement is left" if not choices(measurements, goals, state) else "the minutes are spent"
+    if not choices(measurements, goals, known, left):
+        return "no measurement is left" if not choices(measurements, goals, known) else "the minutes are spent"
     return f"no measurement lowers σ by more than {100 * least:g} % a minute"

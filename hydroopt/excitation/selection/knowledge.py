@@ -11,15 +11,18 @@ errors of the geometry are passed on to bodies and friction, and forces tell not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.stored_information import stored_information
+from hydroopt.excitation.selection.measurements import Measurement
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.answer import Answer, load
@@ -37,47 +40,44 @@ class Knowledge:
         names: of the numbers.
         geometry: f.
         first: (P, P) covariance C of their errors before motions are identified.
-        stated: (P, P) information that the machine file states.
         by_motion: (P, P) the information RᵀR of motions, which are identified with the geometry known so far.
+        taken: which parts of each measurement (by name) it rests on, beside the machine file and answers.
     """
 
     names: tuple[str, ...]
     geometry: int
     first: Array
-    stated: Array
     by_motion: Array
-    _before: Array | None = None
+    taken: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @classmethod
     def stating(cls, names: Sequence[str], of_geometry: Array, of_psi: Array) -> Knowledge:
         """By information on the geometry (f, f) and on ψ (p, p) alone."""
-        f, count = len(of_geometry), len(names)
-        information, first = np.zeros((count, count)), np.zeros((count, count))
-        information[:f, :f], information[f:, f:] = of_geometry, of_psi
-        first[:f, :f], first[f:, f:] = inverse(of_geometry), inverse(of_psi)
-        return cls(tuple(names), f, first, information, np.zeros((count, count)))
+        first = inverse(block_diag(of_geometry, of_psi))
+        return cls(tuple(names), len(of_geometry), first, np.zeros_like(first))
 
-    def with_rows(self, rows: Array, own: slice, *, geometry_exact: bool) -> Knowledge:
+    def after(self, measurement: Measurement, part: int) -> Knowledge:
+        """After one part of a measurement."""
+        found = self.with_rows(measurement.rows[part], measurement.own, geometry_exact=measurement.geometry_exact)
+        parts = (*self.taken.get(measurement.name, ()), part)
+        return replace(found, taken={**self.taken, measurement.name: parts})
+
+    def with_rows(self, rows: Array, own: NDArray[np.intp], *, geometry_exact: bool) -> Knowledge:
         """After rows (m, w) on `own` of the numbers, of a motion if the geometry counts as exact in it."""
         if geometry_exact:
             added = self.by_motion.copy()
-            added[own, own] += rows.T @ rows
-            return replace(self, by_motion=added, _before=self.before)
+            added[np.ix_(own, own)] += rows.T @ rows
+            return replace(self, by_motion=added)
         spread = rows @ self.first[own]
         core = np.eye(len(rows)) + spread[:, own] @ rows.T
         first = self.first - spread.T @ np.linalg.solve(core, spread)
-        apart = own.stop <= self.geometry and not self.first[self.own, self.dynamic].any()
-        return replace(self, first=(first + first.T) / 2, _before=self.before if apart else None)
-
-    @cached_property
-    def before(self) -> Array:
-        """Λ (p, p)."""
-        return inverse(self.first[self.dynamic, self.dynamic]) if self._before is None else self._before
+        return replace(self, first=(first + first.T) / 2)
 
     @cached_property
     def _identified(self) -> tuple[Array, Array]:
         """Λ (p, p) and H⁻¹ (p, p)."""
-        return self.before, inverse(self.before + self.by_motion[self.dynamic, self.dynamic])
+        before = inverse(self.first[self.dynamic, self.dynamic])
+        return before, inverse(before + self.by_motion[self.dynamic, self.dynamic])
 
     @cached_property
     def passed_on(self) -> Array:
@@ -119,38 +119,29 @@ class Knowledge:
         Raises:
             ProblemError: a folder holds none of these answers, or it is of another machine.
         """
-        information, others = inverse(self.first), list[Path]()
-        for folder in map(Path, folders):
-            if (known := self._of_the_file(model, folder)) is None:
-                others.append(folder)
-            else:
-                places, whole = known
-                information[np.ix_(places, places)] = whole
-        for folder in others:
-            places, added = self._added(model, folder)
-            information[np.ix_(places, places)] += added
-        return replace(self, first=inverse(information), _before=None)
-
-    def _of_the_file(self, model: Model, folder: Path) -> tuple[list[int], Array] | None:
-        """Places (k,) of the numbers of a calibration that wrote the machine's own file, and the information (k, k)
-        that their confidences in it stand for; None of any other answer."""
-        answer = load(folder)
-        text = answer.text_of(f"{answer.machine_id.name}.toml")
-        if (answer.job is not Job.CALIBRATION or answer.machine_id.sha256 == model.machine.sha256 or text is None
-                or answer.text_of(COVARIANCE) is None or read_machine(text).sha256 != model.machine.sha256):
-            return None
-        return self._shared(answer, folder)
+        stated = inverse(self.first)
+        information, answers = stated.copy(), [(folder, load(folder)) for folder in map(Path, folders)]
+        for folder, answer in answers:
+            if _wrote(answer, model):  # its confidences stand in the file, with correlations here
+                places, within = self._shared(answer, folder)
+                information[np.ix_(places, places)] = within
+        for folder, answer in answers:
+            if not _wrote(answer, model):
+                places, added = self._added(model, answer, folder, stated)
+                information[np.ix_(places, places)] += added
+        return replace(self, first=inverse(information))
 
     def _shared(self, answer: Answer, folder: Path) -> tuple[list[int], Array]:
         """Places (k,) of the numbers that an answer and this share, and the information (k, k) on them by its file."""
-        found, covariance = read_covariance(answer.text_of(COVARIANCE) or "", str(folder / COVARIANCE))
-        shared = [(k, self.names.index(name)) for k, name in enumerate(found) if name in self.names]
-        taken, places = [k for k, _ in shared], [place for _, place in shared]
-        return places, inverse(covariance[np.ix_(taken, taken)])
+        if (text := answer.text_of(COVARIANCE)) is None:
+            raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
+                               remedy="calibrate again with this version, by method joint")
+        found, covariance = read_covariance(text, str(folder / COVARIANCE))
+        taken = [k for k, name in enumerate(found) if name in self.names]
+        return [self.names.index(found[k]) for k in taken], inverse(covariance[np.ix_(taken, taken)])
 
-    def _added(self, model: Model, folder: Path) -> tuple[list[int], Array]:
-        """Places (k,) of numbers, and the information (k, k) that an answer adds on them."""
-        answer = load(folder)
+    def _added(self, model: Model, answer: Answer, folder: Path, stated: Array) -> tuple[list[int], Array]:
+        """Places (k,) of numbers, and the information (k, k) that an answer adds to the `stated` one (P, P) on them."""
         if answer.job not in (Job.IDENTIFICATION, Job.CALIBRATION):
             raise ProblemError(f"this is a {answer.job}, which states no covariance of the machine's numbers",
                                where=str(folder), remedy="name folders that identify or calibrate wrote")
@@ -165,18 +156,19 @@ class Knowledge:
             triangles = stored_information(model, folder).triangles
             rows = triangles.reshape(-1, triangles.shape[2])[:, :-1]
             return list(range(self.geometry, len(self.names))), rows.T @ rows
-        return self._beyond_file(answer, folder)
-
-    def _beyond_file(self, answer: Answer, folder: Path) -> tuple[list[int], Array]:
-        if answer.text_of(COVARIANCE) is None:
-            raise ProblemError(f"there is no {COVARIANCE} beside the answer", where=str(folder),
-                               remedy="calibrate again with this version, by method joint")
         places, within = self._shared(answer, folder)
-        root = np.sqrt(np.diag(self.stated)[places])
-        root = np.where(root > 0, root, 1.0)
-        before = 0.0 if answer.details().get("priors") is False else self.stated[np.ix_(places, places)]
-        values, axes = np.linalg.eigh((within - before) / np.outer(root, root))
+        before = stated[np.ix_(places, places)]
+        root = np.sqrt(np.diag(before))
+        beyond = within if answer.details().get("priors") is False else within - before
+        values, axes = np.linalg.eigh(beyond / np.outer(root, root))
         return places, axes * np.maximum(values, 0.0) @ axes.T * np.outer(root, root)
+
+
+def _wrote(answer: Answer, model: Model) -> bool:
+    """Whether it is the calibration that wrote the machine's own file."""
+    text = answer.text_of(f"{answer.machine_id.name}.toml")
+    return (answer.job is Job.CALIBRATION and answer.machine_id.sha256 != model.machine.sha256 and text is not None
+            and answer.text_of(COVARIANCE) is not None and read_machine(text).sha256 == model.machine.sha256)
 
 
 def inverse(matrix: Array) -> Array:

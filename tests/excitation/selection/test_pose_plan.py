@@ -10,9 +10,9 @@ from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.excitation.poses.exchange import PASSES, candidate_postures, fedorov_exchange
-from hydroopt.excitation.poses.order import in_passes
-from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
+from hydroopt.excitation.selection.candidate_postures import candidate_postures, in_passes
+from hydroopt.excitation.selection.exchange import PASSES, fedorov_exchange
+from hydroopt.excitation.selection.pose_problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -22,24 +21,26 @@ ByGeometry = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Goal(ABC):
-    """A standard deviation [`unit`] to reach.
+class Goal:
+    """A standard deviation [`unit`] to reach: the root mean square of some combinations of all P numbers.
 
     Attributes:
         purpose: what for.
         subject: which part of the machine; "" for the whole of it.
         unit: SI; ``1`` for a part of the force's range.
         target: to reach.
+        task: (s, P) combinations.
     """
 
     purpose: Purpose
     subject: str
     unit: str
     target: float
+    task: Array
 
-    @abstractmethod
     def rows(self, covariance: Array) -> Array:
         """(s, P) rows T with which the variance is tr(T·C·Tᵀ) + `floor`, at a covariance C (P, P) and near it."""
+        return self.task
 
     def floor(self, covariance: Array) -> float:
         """The part of the variance that stays however well the machine is known."""
@@ -61,47 +62,35 @@ class Goal(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class LinearGoal(Goal):
-    """The root mean square of `task` (s, P) times the numbers."""
-
-    task: Array
-
-    def rows(self, covariance: Array) -> Array:
-        """Those of the task."""
-        return self.task
-
-
-@dataclass(frozen=True, eq=False)
 class LoadGoal(Goal):
     """A load at the tip, weighed by the forces of a slow lift in one of S postures, as `hydroopt weigh` does.
 
     Attributes:
-        by_numbers: (S, r, P) derivatives of the forces by all numbers.
+        task: (S, r, P) derivatives of the forces by all numbers.
         effect: (S, r) forces per mass of the load.
         noise: (r,) variance of the averaged forces.
     """
 
-    by_numbers: Array
     effect: Array
     noise: Array
 
     def weights(self, covariance: Array) -> Array:
         """(S, r) of the forces in the load: generalised least squares."""
-        noisy = self.by_numbers @ covariance @ self.by_numbers.transpose(0, 2, 1) + np.diag(self.noise)
+        noisy = self.task @ covariance @ self.task.transpose(0, 2, 1) + np.diag(self.noise)
         weighed = np.linalg.solve(noisy, self.effect[:, :, None])[:, :, 0]
         return np.asarray(weighed / np.sum(weighed * self.effect, axis=1)[:, None])
 
     def rows(self, covariance: Array) -> Array:
         """Of the errors of the load in all postures."""
         weights = self.weights(covariance)
-        return np.asarray(np.einsum("sr,srp->sp", weights, self.by_numbers) / np.sqrt(len(weights)))
+        return np.asarray(np.einsum("sr,srp->sp", weights, self.task) / np.sqrt(len(weights)))
 
     def floor(self, covariance: Array) -> float:
         """What noise of the forces leaves."""
         return float(np.mean(np.sum(self.weights(covariance) ** 2 * self.noise, axis=1)))
 
 
-def force_goal(model: Model, by_geometry: ByGeometry, states: Sequence[Array], target: float) -> LinearGoal:
+def force_goal(model: Model, by_geometry: ByGeometry, states: Sequence[Array], target: float) -> Goal:
     """The forces in a motion, each as a part of its range, root mean square over actuators and time.
 
     Args:
@@ -115,7 +104,7 @@ def force_goal(model: Model, by_geometry: ByGeometry, states: Sequence[Array], t
     driven = size > 1e-6 * np.max(size)
     rows = np.concatenate([by_geometry(*states), K], axis=2)[:, driven] / size[driven, None]
     rows = rows.reshape(-1, rows.shape[2]) / np.sqrt(rows.shape[0] * rows.shape[1])
-    return LinearGoal(Purpose.FORCES, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
+    return Goal(Purpose.FORCES, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
 
 
 def load_goal(model: Model, by_geometry: ByGeometry, motion: Trajectory, target: float) -> LoadGoal:

@@ -1,21 +1,25 @@
-"""Which calibrator to build, and where its ball stands, as an optimisation problem."""
+"""Which calibrator to build, and where its ball stands: a bracket, links in series, a sensor at each joint, a ball."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Never
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, SensorOffer, Workshop
+from hydroopt.excitation.selection.pose_problem import CombinatorialProblem
 from hydroopt.limits.reserves import DEFAULT, Reserves
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.notebook_card import Shown
 
+BRACKET = "calibrator_bracket"
+"""Name of the rigid part that carries the first joint."""
+DESIGNED = "designed by hydroopt"
+"""Source of the numbers of a designed calibrator."""
 FEWEST = 3
 """Sensed joints without which the loop's error would not be known in all directions."""
 MOST = 6
@@ -26,8 +30,154 @@ UNIT = 1e-3
 """Deviation [m] in which lengths are compared, if none is asked for."""
 
 
+class SensorOffer(NamedTuple):
+    """A joint sensor that can be bought: its accuracy [rad], the bound of a uniform error, and its cost.
+
+    >>> import hydroopt
+    >>> offers = hydroopt.SensorOffer(1.7e-3, cost=120.0), hydroopt.SensorOffer(2e-4, cost=900.0)
+    >>> hydroopt.calibrator_problem("cat215b", 20, links=(3, 4), sensors=offers).links
+    (3, 4)
+    """
+
+    accuracy: float
+    cost: float = 1.0
+
+
+class Construction(NamedTuple):
+    """A kind of calibrator: which axes cross at right angles the one before, and the sensor of each joint."""
+
+    crossing: tuple[bool, ...]
+    sensors: tuple[SensorOffer, ...]
+
+    @property
+    def links(self) -> int:
+        """Number of links, each with a joint and its sensor."""
+        return len(self.crossing)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the links, and of their joints."""
+        return tuple(f"calibrator_{k + 1}" for k in range(self.links))
+
+
+class Size(NamedTuple):
+    """A number of a calibrator that is chosen: its address, its unit, and the range that it is chosen from."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """What may be built, and how accurately.
+
+    Attributes:
+        longest: greatest length and offset of a link [m]; `bracket` that of the bracket.
+        span: by how much a joint can turn in all [rad].
+        length_error, angle_error: standard deviations to which lengths [m], and twists and zeros of the encoders [rad],
+            are known after assembly; 0 where they are exact.
+        site: lower and upper corner (3,) [m] in the base frame of where the ball may stand.
+        clearance: least height of the calibrator's joints above ground [m].
+
+    >>> import hydroopt
+    >>> workshop = hydroopt.Workshop(longest=2.5, site=((2, 0, -1.4), (4, 0, -0.3)), length_error=5e-4)
+    >>> hydroopt.calibrator_problem("cat215b", 20, workshop=workshop).workshop.longest
+    2.5
+    """
+
+    longest: float
+    site: tuple[tuple[float, float, float], tuple[float, float, float]]
+    bracket: float = 0.3
+    span: float = float(np.radians(200.0))
+    length_error: float = 0.0
+    angle_error: float = 0.0
+    clearance: float = 0.1
+
+
+def sizes(construction: Construction, workshop: Workshop, fixture: str) -> Iterator[Size]:
+    """Everything that is chosen of a calibrator whose ball stands in a fixture."""
+    for name, most in ((BRACKET, workshop.bracket), *((name, workshop.longest) for name in construction.names)):
+        yield Size(f"{name}.theta", "rad", -np.pi, np.pi)
+        yield Size(f"{name}.d", "m", -most, most)
+        yield Size(f"{name}.a", "m", 0.0, most)
+    for axis, low, high in zip("xyz", *workshop.site, strict=True):
+        yield Size(f"{fixture}.{axis}", "m", low, high)
+
+
+def fixture_of(machine: Machine) -> str:
+    """Name of the fixture that holds the ball."""
+    return machine.fixtures[0].name if machine.fixtures else "ball"
+
+
+def carrying(machine: Machine, construction: Construction, values: Mapping[str, float], workshop: Workshop,
+             keep: Sequence[str] = ()) -> Machine:
+    """A machine that carries a calibrator of a construction instead of its own.
+
+    Args:
+        machine: that states a calibrator, of which the links `keep` stay, in their order.
+        construction: what is built.
+        values: of its sizes [rad, m] by address.
+        workshop: how accurately.
+        keep: links of the machine's own calibrator that belong to the machine, such as a grapple.
+
+    Raises:
+        MachineError: no machine can have these numbers.
+    """
+    old = machine.calibrator
+    assert old is not None
+    own = {link.name: link for link in old.links}
+    links: list[dict[str, Any]] = [own[name].model_dump() for name in own if name in keep]
+    before = links[-1]["name"] if links else old.parent
+    twist = [0.5 * np.pi * crossing for crossing in construction.crossing] + [0.0]
+    half = workshop.span / 2
+    for k, name in enumerate((BRACKET, *construction.names)):
+        joint = {"type": "revolute", "lower": -half, "upper": half} if k else {"type": "locked"}
+        links.append({"name": name, "parent": before, "joint": joint | {
+            "alpha": twist[k], **{key: values[f"{name}.{key}"] for key in ("theta", "d", "a")}}})
+        before = name
+    gone, fixture = set(own) - set(keep), fixture_of(machine)
+    fixtures = {each.name for each in machine.fixtures} - {fixture}
+    data = machine.model_dump(exclude={"notes"})
+    place = tuple(values[f"{fixture}.{axis}"] for axis in "xyz")
+    data |= {"calibrator": {"parent": old.parent, "links": links}, "fixtures": [{"name": fixture, "position": place}],
+             "distances": [each for each in data["distances"] if not fixtures & {*each["between"]}],
+             "sensors": _sensors(data["sensors"], gone, construction), "stages": _without(data["stages"], gone)}
+    lost = {each.name for each in machine.distances} - {each["name"] for each in data["distances"]}
+    notes = {path: note for path, note in machine.notes.items()
+             if path.partition(".")[0] not in {*gone, *lost, "sensors", "calibrator"}}
+    notes |= {f"{name}.joint.{key}": Note(sigma=sigma or None, source=DESIGNED)
+              for name in (BRACKET, *construction.names)
+              for key, sigma in (("theta", workshop.angle_error), ("alpha", workshop.angle_error),
+                                 ("d", workshop.length_error), ("a", workshop.length_error))
+              if (name, key) != (construction.names[-1], "alpha")}
+    notes.setdefault(f"{fixture}.position", Note(sigma=0.1, source=DESIGNED))
+    return Machine.model_validate(data | {"notes": notes})
+
+
+def _sensors(stated: Sequence[Mapping[str, Any]], gone: set[str], construction: Construction) -> list[dict[str, Any]]:
+    """Sensors without those of joints that are gone, and with the construction's; resolution as those that are gone."""
+    kept, steps = [], [0.0]
+    for sensor in stated:
+        channels = tuple(each for each in sensor["channels"] if each.removesuffix(".q") not in gone)
+        if len(channels) < len(sensor["channels"]):
+            steps.append(sensor["resolution"])
+        if channels:
+            kept.append({**sensor, "channels": channels})
+    return kept + [{"channels": (f"{name}.q",), "accuracy": offer.accuracy, "resolution": max(steps)}
+                   for name, offer in zip(construction.names, construction.sensors, strict=True)]
+
+
+def _without(stages: Sequence[Mapping[str, Any]], gone: set[str]) -> list[dict[str, Any]]:
+    """Stages without joints that are gone."""
+    return [{**stage, "moves": tuple(name for name in stage["moves"] if name not in gone),
+             "locked": {name: angle for name, angle in stage["locked"].items() if name not in gone}}
+            for stage in stages]
+
+
 @dataclass(frozen=True, eq=False)
-class CalibratorProblem(Shown):
+class CalibratorProblem(CombinatorialProblem):
     """Which calibrator determines the machine's lengths well enough, at least cost; solving never changes it.
 
     Attributes:
@@ -72,15 +222,6 @@ class CalibratorProblem(Shown):
     def cost(self, construction: Construction) -> float:
         """Of all links and sensors."""
         return construction.links * self.link_cost + sum(offer.cost for offer in construction.sensors)
-
-    def nlp(self) -> Never:
-        """Refused.
-
-        Raises:
-            ProblemError: always: the choice of links and sensors is combinatorial.
-        """
-        raise ProblemError("the choice of links and sensors is combinatorial and has no nonlinear program",
-                           where="calibrator", remedy="use hydroopt.solve")
 
     @property
     def asked(self) -> str:
@@ -155,13 +296,14 @@ def calibrator_problem(machine: GivenMachine, count: int, *, length_std: float |
     if own is None:
         raise ProblemError("it states no calibrator, so that nothing says which link carries it", where=where,
                            remedy="state 'calibrator' with its 'parent', if need be without links")
-    names = {link.name for link in machine.links} | {link.name for link in own.links}
-    if taken := names & {BRACKET, *(f"calibrator_{k}" for k in range(1, MOST + 1))} - {link.name for link in own.links}:
+    names = [link.name for link in own.links]
+    made = {BRACKET, *(f"calibrator_{k}" for k in range(1, MOST + 1))}
+    if taken := {link.name for link in machine.links} & made - set(names):
         raise ProblemError(f"it has a link '{taken.pop()}'", where=where, remedy="give the link another name")
     for name in keep:
-        if name not in {link.name for link in own.links}:
+        if name not in names:
             raise ProblemError("the machine's own calibrator has no such link", where=f"keep '{name}'",
-                               remedy=f"use {', '.join(link.name for link in own.links) or 'none'}")
+                               remedy=f"use {', '.join(names) or 'none'}")
     own_sensors = sum(machine.sensor(f"{name}.q") is not None for name in keep)
     low, high = links
     if not 1 <= low <= high <= MOST or own_sensors + high < FEWEST:
@@ -178,14 +320,14 @@ def calibrator_problem(machine: GivenMachine, count: int, *, length_std: float |
 
 def _refuse(machine: Machine, count: int, link_cost: float, sensors: Sequence[SensorOffer], workshop: Workshop) -> None:
     """Refuse numbers that nothing can be built by."""
-    positive = ((count, "poses"), (workshop.longest, "longest link"), (workshop.span, "span of a joint"),
-                *((each.accuracy, "accuracy of a sensor") for each in sensors))
-    others = ((link_cost, "cost of a link"), *((each.cost, "cost of a sensor") for each in sensors),
-              (workshop.length_error, "error of lengths"), (workshop.angle_error, "error of angles"))
-    for value, what in (*positive, *others):
-        if not (np.isfinite(value) and value >= 0 and (value > 0 or (value, what) in others)):
+    for positive, value, what in (
+            (True, count, "poses"), (True, workshop.longest, "longest link"), (True, workshop.span, "span of a joint"),
+            *((True, each.accuracy, "accuracy of a sensor") for each in sensors), (False, link_cost, "cost of a link"),
+            *((False, each.cost, "cost of a sensor") for each in sensors),
+            (False, workshop.length_error, "error of lengths"), (False, workshop.angle_error, "error of angles")):
+        if not (np.isfinite(value) and value >= 0) or (positive and value == 0):
             raise ProblemError(f"{value:g} is not possible", where=what,
-                               remedy=f"give a {'number from 0 on' if (value, what) in others else 'positive number'}")
+                               remedy=f"give a {'positive number' if positive else 'number from 0 on'}")
     for axis, low, high in zip("xyz", *workshop.site, strict=True):
         if not low <= high:
             raise ProblemError(f"{low:g} m is above {high:g} m", where=f"place of the ball along {axis}",
@@ -232,7 +374,8 @@ def _asked(machine: Machine, length_std: float | Mapping[str, float] | None,
     if not lengths:
         raise ProblemError("it states no length as uncertain", where=f"machine '{machine.name}'",
                            remedy="state the 'sigma' of lengths 'a' or offsets 'd' of its links")
-    asked = dict(length_std) if isinstance(length_std, Mapping) else dict.fromkeys(lengths, length_std or UNIT)
+    asked = dict(length_std) if isinstance(length_std, Mapping) else dict.fromkeys(
+        lengths, UNIT if length_std is None else length_std)
     for name, value in asked.items():
         if name not in lengths:
             raise ProblemError("this is not an uncertain length of a link", where=f"length '{name}'",
@@ -240,6 +383,4 @@ def _asked(machine: Machine, length_std: float | Mapping[str, float] | None,
         if not (np.isfinite(value) and value > 0):
             raise ProblemError(f"the accuracy {value:g} m is not positive", where=f"length '{name}'",
                                remedy="give a positive length")
-    if length_std == 0:
-        raise ProblemError("the accuracy 0 m is not positive", where="length", remedy="give a positive length")
     return asked

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from pathlib import Path
-from typing import Never
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.combined.log_geometry import ForcesByGeometry
-from hydroopt.excitation.next.additions import Addition, additions, equipped
-from hydroopt.excitation.next.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import (
+from hydroopt.excitation.criteria import FAINT
+from hydroopt.excitation.selection.additions import Addition, additions, equipped
+from hydroopt.excitation.selection.candidate_postures import random_candidates
+from hydroopt.excitation.selection.goals import Goal, LoadGoal, force_goal, load_goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import (
     Measurement,
     known_load,
     levelled_base,
@@ -25,17 +26,14 @@ from hydroopt.excitation.next.measurements import (
     pose_measurements,
     weighed_links,
 )
-from hydroopt.excitation.poses.exchange import candidate_postures
-from hydroopt.excitation.poses.posture_readings import FAINT_INFORMATION, PostureReadings, tip_rows
-from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem, pose_problem
-from hydroopt.excitation.poses.readings import Reading, readings
+from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, pose_problem
+from hydroopt.excitation.selection.readings import PostureReadings, readings, tip_rows
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model, recent_model
-from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.verdict import Purpose
@@ -56,7 +54,7 @@ TASK, TASK_RATE = 1000, 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class WhatNextProblem(Shown):
+class WhatNextProblem(CombinatorialProblem):
     """What to measure next; solving never changes it.
 
     Attributes:
@@ -89,12 +87,37 @@ class WhatNextProblem(Shown):
 
     @property
     def left_out(self) -> LeftOut:
-        """Random postures that were left out to keep reserves, of all that `measurements` has drawn."""
-        return reduce(LeftOut.with_more, self._sieved, LeftOut())
+        """Random postures that were left out to keep reserves."""
+        return reduce(LeftOut.with_more, (left_out for _, left_out in self._drawn), LeftOut())
+
+    @property
+    def postures(self) -> tuple[PostureReadings, ...]:
+        """What can be read in candidate postures of all groups; where a fixture holds the calibrator in all of them
+        also without it. None where nothing of the geometry is uncertain or read."""
+        return tuple(there for there, _ in self._drawn)
 
     @cached_property
-    def _sieved(self) -> list[LeftOut]:
-        return []
+    def _drawn(self) -> tuple[tuple[PostureReadings, LeftOut], ...]:
+        if not len(self.chain.parameters):
+            return ()
+        try:
+            found = [self._candidates(self.equipped)]
+        except ProblemError:
+            if "tip" in self.targets:
+                raise
+            return ()
+        own = self.equipped.calibrator
+        if self.additions and np.all(found[0][0].labels.fixture != ""):
+            found.append(self._candidates(self.equipped.model_copy(update={
+                "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
+                "distances": tuple(each for each in self.equipped.distances if each.measured)})))
+        return tuple(found)
+
+    def _candidates(self, machine: Machine) -> tuple[PostureReadings, LeftOut]:
+        poses = pose_problem(machine, 1, priors=True, reserves=self.reserves)
+        q, left_out = random_candidates(poses, self.candidates, np.random.default_rng(self.seed))
+        read = readings(poses.model, poses.channels)
+        return PostureReadings(poses, read, np.concatenate(q), poses.labels(self.candidates)), left_out
 
     @cached_property
     def model(self) -> Model:
@@ -109,24 +132,23 @@ class WhatNextProblem(Shown):
     @property
     def of_poses(self) -> ParameterSet:
         """The numbers of the geometry, and what poses share."""
-        return self.chain.parameters if self.postures is None else self.postures[0].calibration.parameters
+        return self.postures[0].calibration.parameters if self.postures else self.chain.parameters
 
     @cached_property
     def knowledge(self) -> Knowledge:
         """By the machine file and all answers."""
         parameters = self.model.parameters
-        psi = parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0)
+        psi = parameters.information + FAINT * np.diag(parameters.scale**-2.0)
         names = (*self._geometry_names, *parameters.names)
         return Knowledge.stating(names, self._geometry_prior, psi).with_answers(self.model, self.answers)
 
     @cached_property
     def measurements(self) -> tuple[Measurement, ...]:
         """What could be measured."""
-        found = list[Measurement]()
-        if self.postures is not None:
-            found += pose_measurements(*self.postures, {each.name: each for each in self.additions})
-            if self.additions and np.all(self.postures[2].fixture != ""):
-                found += self._without_calibrator()
+        found, added = list[Measurement](), {each.name: each for each in self.additions}
+        for k, there in enumerate(self.postures):
+            numbers = np.array([self._geometry_names.index(name) for name in there.names], dtype=int)
+            found += [each for each in pose_measurements(there, numbers, added) if k == 0 or each.name in added]
         if len(self.model.parameters) and any(name != "tip" for name in self.targets):
             found.append(motion_measurement(self.model, self._by_geometry, self.motions))
             found += weighed_links(self.model, self.knowledge.geometry)
@@ -153,7 +175,7 @@ class WhatNextProblem(Shown):
         p = len(knowledge.names)
         for name, target in self.targets.items():
             if name == "tip":
-                if self.postures is None:
+                if not self.postures:
                     raise ProblemError("the machine states no uncertain number of its geometry", where="target of "
                                        "'tip'", remedy="state a 'sigma' for lengths, angles and pins that may be off")
                 postures = self.postures[0]
@@ -164,7 +186,7 @@ class WhatNextProblem(Shown):
                                        "links that may be off, or ask for --force-std, --load-std or --mass-std")
                 task = np.zeros((len(rows), p))
                 task[:, : rows.shape[1]] = rows
-                found.append(LinearGoal(Purpose.POSITION, "tip", "m", target, task))
+                found.append(Goal(Purpose.POSITION, "tip", "m", target, task))
             elif name == "force":
                 states = (self.task.q, self.task.qd, self.task.qdd)
                 found.append(force_goal(self.model, self._by_geometry, states, target))
@@ -176,17 +198,8 @@ class WhatNextProblem(Shown):
                     raise ProblemError(f"'{name}' is no mass", where=name, remedy="name one such as boom.m")
                 row = np.zeros((1, p))
                 row[0, knowledge.geometry + k] = 1.0
-                found.append(LinearGoal(Purpose.MASSES, name, "kg", target, row))
+                found.append(Goal(Purpose.MASSES, name, "kg", target, row))
         return tuple(found)
-
-    def nlp(self) -> Never:
-        """Refused.
-
-        Raises:
-            ProblemError: always: a combinatorial choice has no nonlinear program.
-        """
-        raise ProblemError("the choice of measurements is combinatorial and has no nonlinear program",
-                           where="what next", remedy="use hydroopt.solve")
 
     def __repr__(self) -> str:
         return f"<WhatNextProblem of {self.machine.name}: {', '.join(self.targets)}>"
@@ -196,50 +209,6 @@ class WhatNextProblem(Shown):
         known = (f"  {folder}" for folder in self.answers)
         return "\n".join([f"what to measure next of {self.machine.name}", "until standard deviations [SI] are", *wanted,
                           *(["after", *known] if self.answers else [])])
-
-    @cached_property
-    def postures(self) -> tuple[PostureReadings, Sequence[Reading], PoseLabels] | None:
-        """Candidate postures of all groups, what could be read in them, and what they belong to; None where nothing of
-        the geometry is uncertain or read."""
-        if not len(self.chain.parameters):
-            return None
-        try:
-            poses = pose_problem(self.equipped, 1, priors=True, reserves=self.reserves)
-            channels = poses.channels
-            rng = np.random.default_rng(self.seed)
-            drawn = [self._candidates(poses, group, rng) for group in poses.groups]
-        except ProblemError:
-            if "tip" in self.targets:
-                raise
-            return None
-        labels, read = poses.labels(self.candidates), readings(poses.model, channels)
-        return PostureReadings(poses, read, np.concatenate(drawn), labels), read, labels
-
-    def _candidates(self, poses: PoseProblem, group: PoseGroup, rng: np.random.Generator) -> Array:
-        q, left_out = candidate_postures(poses, group, self.candidates, rng)
-        self._sieved.append(left_out)
-        return q
-
-    def _without_calibrator(self) -> Iterator[Measurement]:
-        """What is added to a machine whose calibrator sits in a fixture in all poses that it states."""
-        own, joints = self.equipped.calibrator, self.chain.joints
-        poses = pose_problem(self.equipped.model_copy(update={
-            "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
-            "distances": tuple(each for each in self.equipped.distances if each.measured)}), 1, priors=True,
-            reserves=self.reserves)
-        rng, added = np.random.default_rng(self.seed), {each.name: each for each in self.additions}
-        q, labels = self._candidates(poses, poses.groups[0], rng), poses.labels(self.candidates)
-        read = readings(poses.model, poses.channels)
-        there = PostureReadings(poses, read, q, labels)
-        numbers = [self._geometry_names.index(name) for name in there.names]
-        places = [joints.index(joint) for joint in poses.model.joints]
-        for each in pose_measurements(there, read, labels, added):
-            if each.name in added:
-                rows = np.zeros((*each.rows.shape[:2], len(self._geometry_names)))
-                rows[:, :, numbers] = each.rows
-                whole = np.full((len(each.q), len(joints)), np.nan)
-                whole[:, places] = each.q
-                yield replace(each, rows=rows, own=slice(0, rows.shape[2]), q=whole)
 
     @cached_property
     def additions(self) -> tuple[Addition, ...]:
@@ -261,7 +230,7 @@ class WhatNextProblem(Shown):
     def _geometry_prior(self) -> Array:
         parameters = self.chain.parameters
         prior = self.postures[0].prior if self.postures else (
-            parameters.information + FAINT_INFORMATION * np.diag(parameters.scale**-2.0))
+            parameters.information + FAINT * np.diag(parameters.scale**-2.0))
         return block_diag(prior, np.eye(2) / self.base_tilt**2) if self.base_tilt else prior
 
     @cached_property
@@ -286,12 +255,11 @@ class WhatNextProblem(Shown):
     @cached_property
     def _tilted(self) -> tuple[tuple[Model, Model], ...]:
         """Models whose base is rolled, then pitched, a little more and less."""
-        steps = STEP * np.eye(2)
-        return tuple((self._turned(step), self._turned(-step)) for step in steps)
+        def turned(k: int, by: float) -> Model:
+            angles = np.array(self.machine.orientation) + by * np.eye(3)[k]
+            return Model(self.machine.model_copy(update={"orientation": tuple(angles.tolist())}))
 
-    def _turned(self, by: Array) -> Model:
-        roll, pitch, yaw = self.machine.orientation
-        return Model(self.machine.model_copy(update={"orientation": (roll + float(by[0]), pitch + float(by[1]), yaw)}))
+        return tuple((turned(k, STEP), turned(k, -STEP)) for k in range(2))
 
 
 def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (), *,

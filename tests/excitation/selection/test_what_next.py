@@ -19,11 +19,11 @@ from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import random_states, structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
-from hydroopt.excitation.next.goals import LinearGoal
-from hydroopt.excitation.next.knowledge import Knowledge
-from hydroopt.excitation.next.measurements import LEVELLED, LOAD, LOADED, Measurement
-from hydroopt.excitation.next.plan import plan_next
-from hydroopt.excitation.next.sequence import State, lack, sequence
+from hydroopt.excitation.selection.goals import Goal
+from hydroopt.excitation.selection.knowledge import Knowledge
+from hydroopt.excitation.selection.measurements import LEVELLED, LOAD, LOADED, Measurement
+from hydroopt.excitation.selection.sequence import lack, sequence
+from hydroopt.excitation.selection.what_next import plan_next
 from hydroopt.logs.poses import Poses
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.pose_table import simulate_poses
@@ -37,8 +37,8 @@ def test_errors_of_the_geometry_pass_on_as_in_two_steps() -> None:
     rng = np.random.default_rng(0)
     of_theta, of_psi = np.diag([4.0, 1.0]), np.diag([1.0, 2.0, 0.5])
     poses, motion = rng.normal(size=(3, 2)), rng.normal(size=(4, 5))
-    known = Knowledge.stating("abcde", of_theta, of_psi).with_rows(poses, slice(0, 2), geometry_exact=False).with_rows(
-        motion, slice(0, 5), geometry_exact=True)
+    known = Knowledge.stating("abcde", of_theta, of_psi).with_rows(poses, np.arange(2), geometry_exact=False).with_rows(
+        motion, np.arange(5), geometry_exact=True)
     theta, psi = (rng.normal(size=(40000, len(each))) / np.sqrt(np.diag(each)) for each in (of_theta, of_psi))
     read = theta @ poses.T + rng.normal(size=(40000, 3))
     found = np.linalg.solve(of_theta + poses.T @ poses, poses.T @ read.T).T
@@ -48,12 +48,12 @@ def test_errors_of_the_geometry_pass_on_as_in_two_steps() -> None:
     assert np.cov(np.hstack([found - theta, identified - psi]).T) == pytest.approx(known.covariance, abs=0.02)
 
 
-def drawn(seed: int) -> tuple[list[Measurement], list[LinearGoal], State]:
+def drawn(seed: int) -> tuple[list[Measurement], list[Goal], Knowledge]:
     rng = np.random.default_rng(seed)
     made = [Measurement(name, name, float(rng.integers(0, 8)), float(rng.integers(1, 5)), rng.normal(size=(1, 2, 3)) * (
-        rng.uniform(0.3, 3)), slice(0, 3), np.zeros((1, 0))) for name in "abcdef"]
-    goal = LinearGoal(Purpose.POSITION, "tip", "m", 1e-6, rng.normal(size=(2, 3)))
-    return made, [goal], State(Knowledge.stating("xyz", np.eye(3), np.zeros((0, 0))), {})
+        rng.uniform(0.3, 3)), np.arange(3)) for name in "abcdef"]
+    goal = Goal(Purpose.POSITION, "tip", "m", 1e-6, rng.normal(size=(2, 3)))
+    return made, [goal], Knowledge.stating("xyz", np.eye(3), np.zeros((0, 0)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -65,20 +65,20 @@ def test_the_choice_is_near_the_best_of_all(seed: int) -> None:
         for each in order:
             if (spent := each.set_up + each.minutes) <= left:
                 state, left = state.after(each, 0), left - spent
-        best = min(best, lack(goals, state.knowledge.covariance))
+        best = min(best, lack(goals, state.covariance))
     *_, last = sequence(made, goals, start, minutes=budget)
-    assert best <= lack(goals, last.after.knowledge.covariance) + 1e-9
-    assert lack(goals, last.after.knowledge.covariance) - best < 0.25  # σ within 28 % of the best choice's
+    assert best <= lack(goals, last.after.covariance) + 1e-9
+    assert lack(goals, last.after.covariance) - best < 0.25  # σ within 28 % of the best choice's
 
 
 def test_two_measurements_that_gain_only_together_are_found() -> None:
     def reading(name: str, *row: float) -> Measurement:
-        return Measurement(name, name, 0.0, 1.0, np.array([[row]]), slice(0, 3), np.zeros((1, 0)))
+        return Measurement(name, name, 0.0, 1.0, np.array([[row]]), np.arange(3))
 
     made = [reading("sum", 1e3, 1e3, 0.0), reading("part", 0.0, 1e3, 0.0), reading("little", 0.7, 0.0, 0.0)]
-    goal = LinearGoal(Purpose.POSITION, "tip", "m", 1e-3, np.array([[1.0, 0.0, 0.0]]))
+    goal = Goal(Purpose.POSITION, "tip", "m", 1e-3, np.array([[1.0, 0.0, 0.0]]))
     known = Knowledge.stating("xyz", np.diag([1.0, 1e-4, 1.0]), np.zeros((0, 0)))
-    names = {ahead: [step.measurement.name for step in sequence(made, [goal], State(known, {}), minutes=2.0,
+    names = {ahead: [step.measurement.name for step in sequence(made, [goal], known, minutes=2.0,
                                                                  lookahead=ahead)] for ahead in (True, False)}
     assert set(names[True]) == {"sum", "part"}
     assert names[False][0] == "little"
@@ -182,13 +182,13 @@ def poses_read(problem: ho.WhatNextProblem, names: Sequence[str], seed: int, *, 
 @pytest.mark.parametrize("name", ["pins_boom", "stick_cylinder", "inclination_boom"])
 def test_an_addition_gives_what_a_calibration_with_it_gives(name: str) -> None:
     problem = surveyed()
-    state = State(problem.knowledge, {})
+    state = problem.knowledge
     for k in range(len(reading(problem, name).rows)):
         state = state.after(reading(problem, name), k)
     poses, _ = poses_read(problem, [name], 1, random=False)
     found = ho.solve(ho.calibration_problem(problem.equipped, poses))
-    std = dict(zip(state.knowledge.names, np.sqrt(np.diag(state.knowledge.covariance)), strict=True))
-    before = dict(zip(state.knowledge.names, np.sqrt(np.diag(problem.knowledge.covariance)), strict=True))
+    std = dict(zip(state.names, np.sqrt(np.diag(state.covariance)), strict=True))
+    before = dict(zip(state.names, np.sqrt(np.diag(problem.knowledge.covariance)), strict=True))
     names = found.problem.parameters.names
     free = [k for k, each in enumerate(names) if each in std and np.isfinite(found.std[k])]
     assert [found.std[k] for k in free] == pytest.approx([std[names[k]] for k in free], rel=0.02)
@@ -199,10 +199,10 @@ def test_an_addition_gives_what_a_calibration_with_it_gives(name: str) -> None:
 @pytest.mark.parametrize("name", ["pins_boom", "inclination_boom"])
 def test_drawn_machines_measured_with_an_addition_err_as_expected(name: str) -> None:
     problem = surveyed()
-    state = State(problem.knowledge, {})
+    state = problem.knowledge
     for k in range(len(reading(problem, name).rows)):
         state = state.after(reading(problem, name), k)
-    std = dict(zip(state.knowledge.names, np.sqrt(np.diag(state.knowledge.covariance)), strict=True))
+    std = dict(zip(state.names, np.sqrt(np.diag(state.covariance)), strict=True))
     errors = []
     for draw in range(40):
         poses, truth = poses_read(problem, [name], draw, random=True)
@@ -218,9 +218,9 @@ def test_what_an_uncertain_tilt_of_the_base_costs_a_weighed_load_and_levelling_s
     problem = ho.what_next_problem(LIFT, targets={"load": 1.0}, base_tilt=size)
     (goal,), level = problem.goals, reading(problem, "level")
     model, psi, before = problem.model, problem.model.parameters.nominal, problem.knowledge
-    after = State(before, {}).after(level, 0).knowledge
+    after = before.after(level, 0)
     rng = np.random.default_rng(1)
-    q = random_states(model, len(goal.by_numbers), rng)[0]
+    q = random_states(model, len(goal.task), rng)[0]
     qd = 0.1 * np.sqrt(np.mean(problem.task.qd**2, axis=0)) * rng.choice([-1.0, 1.0], q.shape)
     here, off = model.over(model.regressor, q, qd, 0 * q)[0] @ psi, []
     for tilt in size * np.eye(3)[:2]:
@@ -231,7 +231,7 @@ def test_what_an_uncertain_tilt_of_the_base_costs_a_weighed_load_and_levelling_s
         exact[:2] = exact[:, :2] = 0.0
         weights = goal.weights(known.covariance)
         loads = part * np.array([np.sum(weights * each, axis=1) for each in off])
-        rows = np.einsum("sr,srp->sp", weights, goal.by_numbers)
+        rows = np.einsum("sr,srp->sp", weights, goal.task)
         without = np.mean(np.einsum("sp,pk,sk->s", rows, exact, rows)) + goal.floor(known.covariance)
         expected = np.sqrt(without + np.mean(np.sum(loads**2, axis=0)))
         assert goal.std(known.covariance) == pytest.approx(expected, rel=0.02)
@@ -241,12 +241,12 @@ def test_a_known_load_teaches_what_a_weighing_of_it_does() -> None:
     """Against 4,000 machines whose forces under a known load are drawn, and ψ found by least squares."""
     problem = ho.what_next_problem(LIFT, targets={"load": 1.0})
     (goal,), known = problem.goals, reading(problem, "known_load")
-    after = State(problem.knowledge, {}).after(known, 0).knowledge
+    after = problem.knowledge.after(known, 0)
     rng, count = np.random.default_rng(3), 4000
     prior = np.linalg.cholesky(problem.knowledge.covariance)
     delta = rng.normal(size=(count, len(prior))) @ prior.T
     mass = LOAD * (1 + LOADED * rng.normal(size=count))
-    rows, effect = goal.by_numbers[0], goal.effect[0]
+    rows, effect = goal.task[0], goal.effect[0]
     force = delta @ rows.T + (mass - LOAD)[:, None] * effect
     force += rng.normal(size=force.shape) * np.sqrt(goal.noise)
     noise = np.diag(goal.noise) + np.outer(effect, effect) * (LOAD * LOADED) ** 2
@@ -274,7 +274,7 @@ def test_an_addition_comes_with_what_the_machine_file_needs() -> None:
 def test_a_machine_whose_poses_all_hold_the_calibrator_is_taped_without_it() -> None:
     problem = replace(ho.what_next_problem("cat215b", targets={"tip": 0.01}), candidates=8)
     taped, known = reading(problem, "pins_boom"), problem.knowledge
-    after = State(known, {}).after(taped, 0).knowledge
+    after = known.after(taped, 0)
     k = known.names.index("boom.a")
     assert after.covariance[k, k] == pytest.approx(1 / (1 / known.covariance[k, k] + 1 / 0.003**2), rel=0.01)
     only = [each.name for each in problem.measurements if each.name != "inclination_boom"]

@@ -13,14 +13,10 @@ import hydroopt
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.observability import linearise
-from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
-from hydroopt.excitation.calibrator.construction import SensorOffer, Workshop, fixture_of
-from hydroopt.excitation.calibrator.design import design_calibrator
-from hydroopt.excitation.calibrator.problem import calibrator_problem
-from hydroopt.excitation.calibrator.program import DEXTERITY, STROKE
-from hydroopt.excitation.calibrator.shares import optimal_shares
-from hydroopt.excitation.calibrator.whitened_rows import whitened_rows
-from hydroopt.excitation.poses.problem import calibration_of, pose_problem
+from hydroopt.excitation.selection.calibrator_design import CalibratorDesign, design_calibrator
+from hydroopt.excitation.selection.calibrator_problem import SensorOffer, Workshop, calibrator_problem, fixture_of
+from hydroopt.excitation.selection.calibrator_sizing import DEXTERITY, STROKE, optimal_shares, whitened_rows
+from hydroopt.excitation.selection.pose_problem import calibration_of, pose_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.results.answer import load

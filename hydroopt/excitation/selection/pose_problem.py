@@ -76,8 +76,23 @@ class PoseLabels(NamedTuple):
     touch: Texts
 
 
+class CombinatorialProblem(Shown):
+    """A choice of measurements, which has neither a nonlinear nor a convex program."""
+
+    def nlp(self) -> Never:
+        """Refused.
+
+        Raises:
+            ProblemError: always.
+        """
+        raise ProblemError("the choice is combinatorial and has no nonlinear or convex program", where=repr(self),
+                           remedy="use hydroopt.solve")
+
+    cvxpy = nlp
+
+
 @dataclass(frozen=True, eq=False)
-class PoseProblem(Shown):
+class PoseProblem(CombinatorialProblem):
     """Which poses to measure for a kinematic calibration; solving never changes it.
 
     `hydroopt.solve(problem, seed=0, candidates=2000)` chooses them among random closed postures of each group. The
@@ -102,8 +117,8 @@ class PoseProblem(Shown):
     >>> problem.nlp()
     Traceback (most recent call last):
     ...
-    hydroopt.errors.ProblemError: pose plan: the choice of postures is combinatorial and has no nonlinear program; \
-use hydroopt.solve.
+    hydroopt.errors.ProblemError: <PoseProblem of cat215b: 10 poses in each of 3 groups, criterion D>: the choice is \
+combinatorial and has no nonlinear or convex program; use hydroopt.solve.
     """
 
     machine: Machine
@@ -153,24 +168,6 @@ use hydroopt.solve.
         """
         self.parameters.select(values)
         return replace(self, fixed={**self.fixed, **values})
-
-    def nlp(self) -> Never:
-        """Refused.
-
-        Raises:
-            ProblemError: always: a combinatorial choice has no nonlinear program.
-        """
-        raise ProblemError("the choice of postures is combinatorial and has no nonlinear program", where="pose plan",
-                           remedy="use hydroopt.solve")
-
-    def cvxpy(self) -> Never:
-        """Refused.
-
-        Raises:
-            ProblemError: always: a combinatorial choice is not convex.
-        """
-        raise ProblemError("the choice of postures is combinatorial and not convex", where="pose plan",
-                           remedy="use hydroopt.solve")
 
     def __repr__(self) -> str:
         return (f"<PoseProblem of {self.machine.name}: {self.count} poses in each of {len(self.groups)} groups, "

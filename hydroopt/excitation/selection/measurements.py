@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
-from hydroopt.excitation.next.additions import Addition
-from hydroopt.excitation.next.goals import ByGeometry, LoadGoal
-from hydroopt.excitation.poses.posture_readings import PostureReadings
-from hydroopt.excitation.poses.problem import PoseLabels
-from hydroopt.excitation.poses.readings import DRIVE, SET_UP, Reading
+from hydroopt.excitation.selection.additions import Addition
+from hydroopt.excitation.selection.goals import ByGeometry, LoadGoal
+from hydroopt.excitation.selection.pose_problem import PoseLabels
+from hydroopt.excitation.selection.readings import DRIVE, SET_UP, PostureReadings
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -43,8 +42,8 @@ class Measurement:
         set_up: minutes before the first part; 0 once something is set up.
         minutes: of each part.
         rows: (K, u, w) what each of K parts says about w of all numbers, with errors independent and of variance 1.
-        own: which numbers these are.
-        q: (K, n) postures [rad, m] of the parts, NaN for joints that are not there; (K, 0) where they have none.
+        own: (w,) places of these numbers.
+        q: (K, n) postures [rad, m] of the parts, of `joints`; None where they have none.
         labels: what these postures belong to.
         motions: of the parts, where these are motions.
         geometry_exact: whether they are identified with the geometry known so far.
@@ -59,8 +58,9 @@ class Measurement:
     set_up: float
     minutes: float
     rows: Array
-    own: slice
-    q: Array
+    own: NDArray[np.intp]
+    q: Array | None = None
+    joints: tuple[str, ...] = ()
     labels: PoseLabels | None = None
     motions: tuple[Trajectory, ...] = ()
     geometry_exact: bool = False
@@ -79,36 +79,41 @@ DOING = {"instrument": "Set up {}, and sight its targets", "datum": "Lay out {},
 """What to do, by the kind of reading."""
 
 
-def pose_measurements(postures: PostureReadings, readings: Sequence[Reading], labels: PoseLabels,
+def pose_measurements(postures: PostureReadings, numbers: NDArray[np.intp],
                       added: Mapping[str, Addition]) -> Iterator[Measurement]:
     """Readings in postures: those of one instrument, tape, datum or IMU, or of the calibrator in one fixture; joints
-    and transducers read along. Some are `added` by name to what the machine file states."""
+    and transducers read along. Some are `added` by name to what the machine file states; `numbers` (f,) are the places
+    of the geometry's among all."""
+    readings, labels = postures.readings, postures.labels
     along = np.array([each.kind == "transducer" for each in readings], dtype=bool)
     fixed, touching = labels.fixture != "", labels.touch != ""
 
-    def taken(name: str, text: str, kind: str, places: NDArray[np.intp], own: NDArray[np.bool_],
-              file: str = "") -> Measurement:
+    def taken(name: str, text: str, kind: str, possible: NDArray[np.bool_], own: NDArray[np.bool_],
+              addition: Addition | None = None) -> Iterator[Measurement]:
+        places = np.flatnonzero(possible)
+        if not len(places):
+            return
+        if addition is not None and addition.once:
+            places = places[:1]
         spent = DRIVE + float(sum(each.minutes for each, mine in zip(readings, own, strict=True) if mine))
         rows = postures.rows_of(places, postures.there[places] & (along | own))
-        return Measurement(name, text, SET_UP[kind], spent, rows, slice(0, rows.shape[2]), postures.q[places],
-                           PoseLabels(*(np.asarray(each)[places] for each in labels)), file=file,
-                           use="with all poses as poses.csv, calibrate",
-                           command="hydroopt calibrate {machine} poses.csv -o calibrated")
+        yield Measurement(name, text if addition is None else addition.text, SET_UP[kind], spent, rows, numbers,
+                          postures.q[places], postures.poses.model.joints,
+                          PoseLabels(*(np.asarray(each)[places] for each in labels)),
+                          file="" if addition is None else addition.file, use="with all poses as poses.csv, calibrate",
+                          command="hydroopt calibrate {machine} poses.csv -o calibrated")
 
     none = np.zeros(len(readings), dtype=bool)
     for fixture in dict.fromkeys(labels.fixture[fixed].tolist()):
-        yield taken(f"calibrator.{fixture}", f"Attach the calibrator, its tip in {fixture}", "calibrator",
-                    np.flatnonzero(labels.fixture == fixture), none)
+        yield from taken(f"calibrator.{fixture}", f"Attach the calibrator, its tip in {fixture}", "calibrator",
+                         labels.fixture == fixture, none)
     for owner, kind in {each.owner: each.kind for each in readings if each.kind in DOING}.items():
         own = np.array([each.owner == owner and each.kind == kind for each in readings])
         alone = touching if kind == "datum" else ~touching
-        if len(places := np.flatnonzero(postures.there[:, own].any(axis=1) & ~fixed & alone)):
-            addition = added.get(owner)
-            yield taken(owner, DOING[kind].format(owner) if addition is None else addition.text, kind,
-                        places[:1] if addition is not None and addition.once else places, own,
-                        "" if addition is None else addition.file)
-    if len(places := np.flatnonzero(postures.there[:, along].any(axis=1) & ~fixed & ~touching)):
-        yield taken("transducers", "Drive to postures, and read joints and transducers", "transducer", places, none)
+        yield from taken(owner, DOING[kind].format(owner), kind,
+                         postures.there[:, own].any(axis=1) & ~fixed & alone, own, added.get(owner))
+    yield from taken("transducers", "Drive to postures, and read joints and transducers", "transducer",
+                     postures.there[:, along].any(axis=1) & ~fixed & ~touching, none)
 
 
 def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[Trajectory]) -> Measurement:
@@ -129,28 +134,27 @@ def motion_measurement(model: Model, by_geometry: ByGeometry, motions: Sequence[
     most = max(map(len, made))
     rows = np.tile(np.stack([np.pad(each, ((0, most - len(each)), (0, 0))) for each in made]), (REPEATS, 1, 1))
     return Measurement("motion", "Drive motions that excite designs, and log angles and forces", MOTION, DRIVEN, rows,
-                       slice(0, rows.shape[2]), np.zeros((len(rows), 0)), motions=tuple(motions) * REPEATS,
-                       geometry_exact=True, use="with its log as log.csv, identify",
+                       np.arange(rows.shape[2]), motions=tuple(motions) * REPEATS, geometry_exact=True,
+                       use="with its log as log.csv, identify",
                        command="hydroopt identify {machine} log.csv -o identified")
 
 
 def levelled_base(f: int) -> Measurement:
     """The base's roll and pitch, the last two of the f numbers of the geometry."""
-    rows = np.eye(2)[None] / LEVELLED
-    return Measurement("level", "Level the base by a spirit level on it", 0.0, LEVEL, rows, slice(f - 2, f),
-                       np.zeros((1, 0)), use="state the orientation that it then has in the machine file")
+    return Measurement("level", "Level the base by a spirit level on it", 0.0, LEVEL, np.eye(2)[None] / LEVELLED,
+                       np.arange(f - 2, f), use="state the orientation that it then has in the machine file")
 
 
 def known_load(goal: LoadGoal) -> Measurement:
     """A known load weighed in each posture in which loads will be weighed, as `hydroopt weigh --known` uses it: forces
     say something about ψ, and errors of the geometry disturb that."""
     rows = []
-    for by_numbers, effect in zip(goal.by_numbers, goal.effect, strict=True):
+    for by_numbers, effect in zip(goal.task, goal.effect, strict=True):
         noise = np.diag(goal.noise) + np.outer(effect, effect) * (LOADED * LOAD) ** 2
         rows.append(np.linalg.solve(np.linalg.cholesky(noise), by_numbers))
     made = np.array(rows)
     return Measurement("known_load", f"Lift a known load of about {LOAD:.0f} kg slowly", FETCH, HOLD, made,
-                       slice(0, made.shape[2]), np.zeros((len(made), 0)), geometry_exact=True,
+                       np.arange(made.shape[2]), geometry_exact=True,
                        use="weigh with its log as --known of hydroopt weigh")
 
 
@@ -161,7 +165,6 @@ def weighed_links(model: Model, f: int) -> Iterator[Measurement]:
         place = model.parameters.positions.get(f"{name}.m")
         if place is None or "." in name or name in carrying or not model.parameters.nominal[place]:
             continue
-        row = np.zeros((1, 1, 1)) + 1 / (SCALE * model.parameters.nominal[place])
-        yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row,
-                          slice(f + place, f + place + 1), np.zeros((1, 0)),
+        row = np.full((1, 1, 1), 1 / (SCALE * model.parameters.nominal[place]))
+        yield Measurement(f"weigh.{name}", f"Take {name} off, and weigh it", 0.0, WEIGH, row, np.array([f + place]),
                           use="identify with this mass as --prior of hydroopt identify")
