@@ -38,11 +38,10 @@ from hydroopt.machine.calibrated_numbers import closed_flat, standing_for, with_
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, number
 from hydroopt.results.verdict import Purpose, Use, determined
 from hydroopt.spatial.inertia import Array
 
