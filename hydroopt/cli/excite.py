@@ -97,7 +97,7 @@ def excite(
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.approach import start_of
-    from hydroopt.excitation.motion.design import at_pace, excitation_problem
+    from hydroopt.excitation.motion.design import excitation_problem
     from hydroopt.excitation.motion.known import identified
     from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
@@ -133,7 +133,7 @@ def excite(
         motion = solve(problem, starts=starts, seed=seed, search_seconds=search_seconds,
                        processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
-        motion = at_pace(motion, pace)
+        motion = motion.at_pace(pace)
         if start:
             say("planning the approach", 0.8)
             motion = motion.approached_from(standing)

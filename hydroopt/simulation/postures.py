@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
-from hydroopt.logs.sensors import measure
 from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
@@ -283,8 +282,7 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     read = {}
     for channel in channels:
         sensor = model.machine.sensor(channel)
-        read[channel] = true[channel] if seed is None or sensor is None else measure(
-            true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
+        read[channel] = true[channel] if seed is None or sensor is None else sensor.read(true[channel], rng)
     datums = {datum.name for datum in model.machine.datums}
     for each in model.measurements if len(touch) else ():
         for channel in each.channels if each.name.partition(".")[0] in datums else ():
