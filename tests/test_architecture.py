@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "memory", "progress"),
-    ("extras",),
+    ("extras", "processes"),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("cache",),
     ("spatial",),

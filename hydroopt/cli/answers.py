@@ -64,7 +64,7 @@ def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool
         as_json: print the JSON file.
     """
     from hydroopt.results import json_file
-    from hydroopt.results.summary import summary
+    from hydroopt.results.diagnostic import summary
     from hydroopt.results.verdict import WIDTH
 
     if as_json:

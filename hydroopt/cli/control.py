@@ -73,10 +73,9 @@ def control(
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.parameter_source import Origin
-    from hydroopt.control.comparison import compare
+    from hydroopt.control.comparison import FEEDFORWARD, compare
     from hydroopt.control.draws import draws
     from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
-    from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
     from hydroopt.files import refuse_places
     from hydroopt.logs.log_files import read_log

@@ -14,19 +14,16 @@ from hydroopt.cli import Command, Group, limits
 from hydroopt.cli.options import (
     AsJson,
     Directory,
-    Fixed,
     MachineName,
     MapFile,
     MotionFile,
     ParameterSetName,
-    PoseTables,
     Processes,
     Quiet,
     Rate,
     Seed,
     TrainingLogs,
     Treat,
-    parameter_values,
     progress,
     reading,
     refuse_given,
@@ -40,7 +37,6 @@ if TYPE_CHECKING:
     from hydroopt.study.study import Study
     from hydroopt.study.table import Table
 
-Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
     "Duration of the motion [s]; 33.28 if not given."))]
@@ -53,7 +49,7 @@ app = typer.Typer(cls=Group, add_completion=False, rich_markup_mode=None)
 
 @app.callback()
 def study() -> None:
-    """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
+    """Monte Carlo or bootstrap: DIR gets every cell, results.csv, summary.json and report.html.
 
     The same command resumes an interrupted study.
 
@@ -65,7 +61,10 @@ def study() -> None:
 def montecarlo(
     machine: MachineName,
     output: Directory,
-    cells: Cells = 100,
+    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
+    vary: Annotated[list[str] | None, typer.Option(help=(
+        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
+        "of random motions; several make a grid."))] = None,
     seed: Seed = 0,
     method: MethodName = "sdp",
     motion: MotionFile = None,
@@ -79,100 +78,7 @@ def montecarlo(
     as_json: AsJson = False,
 ) -> None:
     """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
-    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, {})
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def sweep(
-    machine: MachineName,
-    output: Directory,
-    vary: Annotated[list[str], typer.Option(help=(
-        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
-        "of random motions; several make a grid."))],
-    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
-    seed: Seed = 0,
-    method: MethodName = "sdp",
-    motion: MotionFile = None,
-    map_file: MapFile = None,
-    duration: Duration = None,
-    rate: Rate = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Repeat the Monte Carlo study over a grid of sensor errors, durations and rates."""
-    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, _grid(vary))
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def bootstrap(
-    machine: MachineName,
-    logs: TrainingLogs,
-    output: Directory,
-    cells: Cells = 100,
-    seed: Seed = 0,
-    method: MethodName = "sdp",
-    map_file: MapFile = None,
-    treat: Treat = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.cli.identify import method_of
-        from hydroopt.logs.log_files import read_log
-        from hydroopt.study import bootstrap as study
-
-        read = reading(read_log, described, map_file, treat)(logs)
-        return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
-
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def multistart(
-    machine: MachineName,
-    tables: PoseTables,
-    output: Directory,
-    cells: Cells = 100,
-    seed: Seed = 0,
-    method: Annotated[str, typer.Option(help="Method of estimation: see hydroopt calibrate.")] = "joint",
-    map_file: MapFile = None,
-    fix: Fixed = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Calibrate the geometry from random initial guesses: which optima they lead to."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.estimation.kinematic.problem import calibration_problem
-        from hydroopt.logs.poses import read_pose_files
-        from hydroopt.study import multistart as study
-
-        read = read_pose_files(tables, mapping=map_file)
-        problem = calibration_problem(described, read)
-        held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
-        return study.multistart(described, read, cells=cells, seed=seed, method=method, fixed=held), study.summary
-
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-Summary = Callable[["Study", "Table"], dict[str, Any]]
-"""What a kind of study makes of its table."""
-
-
-def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_file: Path | None,
-                duration: float | None, rate: float | None,
-                grid: dict[str, list[float]]) -> Callable[[Machine], tuple[Study, Summary]]:
+    grid = _grid(vary or ())
     if motion is not None:
         refuse_given({"--duration": duration, "--rate": rate}, "a given motion has its own duration and rate",
                      "leave it out, or --motion")
@@ -195,7 +101,39 @@ def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_fil
                                 motion_sha256=sha256, vary=grid, rate=rate,
                                 duration=study.DURATION if duration is None else duration), study.summary
 
-    return prepare
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
+
+
+@app.command(cls=Command)
+def bootstrap(
+    machine: MachineName,
+    logs: TrainingLogs,
+    output: Directory,
+    cells: Annotated[int, typer.Option(help="Number of cells.", min=1)] = 100,
+    seed: Seed = 0,
+    method: MethodName = "sdp",
+    map_file: MapFile = None,
+    treat: Treat = None,
+    processes: Processes = None,
+    scheduler: Scheduler = None,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.cli.identify import method_of
+        from hydroopt.logs.log_files import read_log
+        from hydroopt.study import bootstrap as study
+
+        read = reading(read_log, described, map_file, treat)(logs)
+        return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
+
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
+
+
+Summary = Callable[["Study", "Table"], dict[str, Any]]
+"""What a kind of study makes of its table."""
 
 
 def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], tuple[Study, Summary]], output: Path,
@@ -263,9 +201,6 @@ def _print(content: dict[str, Any], output: Path) -> None:
         if ratios:
             echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
                        f"{ratios[0]:.3g} to {ratios[-1]:.3g}")
-    for optimum in content.get("optima", ())[:5]:
-        echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
-                   f"{optimum['farthest_std']:.3g} σ from the best")
     echo(f"{output / 'report.html'}")
 
 

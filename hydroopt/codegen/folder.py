@@ -23,9 +23,8 @@ from hydroopt.codegen.symbols import Field, Routine, Struct
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.input_file import JSON_LIMIT, read_bytes
-from hydroopt.kernels.c_writer import Naming, literal, statements
+from hydroopt.kernels.c_writer import Naming, literal, quick, statements
 from hydroopt.kernels.expression_graph import Program, program
-from hydroopt.kernels.statement_order import quick
 from hydroopt.machine.machine import Machine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.plant import Plant

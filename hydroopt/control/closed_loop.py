@@ -8,11 +8,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.control.linear_plant import Reading
 from hydroopt.control.reference import Demands, offset
-from hydroopt.control.sampled_plant import Reading
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
-from hydroopt.kernels.one_sample import OneSample
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array

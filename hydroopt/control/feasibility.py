@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hydroopt.control.loop_margins import Margin
+from hydroopt.control.loops import Margin
 from hydroopt.control.reference import Demand
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError

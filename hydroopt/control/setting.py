@@ -10,9 +10,9 @@ import numpy as np
 from control import StateSpace
 
 from hydroopt.control.feasibility import steady_speeds
+from hydroopt.control.linear_plant import Point, linearised, point, sampled
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.native import Runner
-from hydroopt.kernels.simplified import simplified
+from hydroopt.kernels.virtual_machine import simplified
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine

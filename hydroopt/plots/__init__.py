@@ -31,7 +31,7 @@ class Plots:
         self._shown = shown
 
     def __repr__(self) -> str:
-        return f"Plots of {self._shown!r}: forces(), residuals(), parameters(), machine(), loops()"
+        return f"Plots of {self._shown!r}: forces(), residuals(), parameters(), machine()"
 
     def forces(self) -> Figure:
         """Measured and predicted forces over time, of an identification.
@@ -89,35 +89,6 @@ class Plots:
             drawn = side_view(model, limit_postures(model), "middle of all ranges", "limits of each joint")
         return _notebook(drawn, "machine")
 
-    def loops(self) -> Figure:
-        """Bode and Nyquist curves, step responses, poles and zeros of controllers, of a comparison of controllers.
-
-        Raises:
-            ProblemError: this is no such comparison.
-
-        Example:
-            >>> import hydroopt as ho
-            >>> from hydroopt.control.comparison import compare
-            >>> from hydroopt.control.model_variants import ModelVariant, truth
-            >>> from hydroopt.control.setting import Setting
-            >>> plant = ho.Plant("patu655_lift")
-            >>> motion = ho.random_trajectory(plant.model, duration=14, rate=20, seed=1, slowest=0.05, fastest=0.15)
-            >>> known = plant.parameters.nominal
-            >>> true = truth("nominal", plant, seed=0)
-            >>> setting = Setting(plant, motion, true.variant, true.theta, known, rate=50)
-            >>> complete = ModelVariant("complete", "the machine file", plant.model, true.variant.psi)
-            >>> comparison = compare(setting, [complete], ["feedforward"])
-            >>> len(comparison.plot.loops().axes)
-            5
-        """
-        from hydroopt.control.comparison import Comparison  # noqa: PLC0415
-        from hydroopt.plots.loops import loops  # noqa: PLC0415
-
-        if not isinstance(self._shown, Comparison):
-            raise self._refusal("loops", "draw those of hydroopt.control.comparison.compare, or see the page of "
-                                         "'hydroopt control'")
-        return _notebook(loops(self._shown), "loops")
-
     def _estimate(self, what: str) -> Estimate:
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
 
@@ -125,11 +96,11 @@ class Plots:
             raise self._refusal(what)
         return self._shown
 
-    def _refusal(self, what: str,
-                 remedy: str = "draw what hydroopt.solve returned, or see the page of hydroopt.view") -> ProblemError:
+    def _refusal(self, what: str) -> ProblemError:
         name = type(self._shown).__name__
         article = "an" if name[0] in "AEIOU" else "a"
-        return ProblemError(f"{article} {name} has no {what} to draw", where=f"plot.{what}", remedy=remedy)
+        return ProblemError(f"{article} {name} has no {what} to draw", where=f"plot.{what}",
+                            remedy="draw what hydroopt.solve returned, or see the page of hydroopt.view")
 
 
 def _notebook(figure: Figure, name: str) -> Figure:

@@ -17,8 +17,7 @@ from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
 if TYPE_CHECKING:
-    from hydroopt.control.comparison import Comparison
-    from hydroopt.control.outcome import Outcome
+    from hydroopt.control.comparison import Comparison, Outcome
     from hydroopt.spatial.inertia import Array
 
 NEAR, ABOUT_CIRCLE = (-2.0, 1.0, -1.5, 1.5), (-1.2, 1.2, -1.2, 1.2)

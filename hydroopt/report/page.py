@@ -17,11 +17,10 @@ from markupsafe import Markup
 from hydroopt.errors import visible
 from hydroopt.report import charts as figures
 from hydroopt.report.charts import Chart, Curves, Field, HeatMap, TimeChart
-from hydroopt.report.findings import findings
 from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import NOT_SEPARABLE, Diagnostic, sentences
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
 """What a sentence shows as code: text between backticks, quoted commands, options."""
@@ -40,6 +39,25 @@ class Drawn(NamedTuple):
     alt: str
     static: Markup | None
     tall: int
+
+
+class Found(NamedTuple):
+    """Sentences about the data, sentences about machine and motion, and groups of parameters that the motion does not
+    separate: their names, effect and variance inflation, with the one remedy."""
+
+    data: list[str]
+    machine: list[str]
+    groups: list[tuple[str, str, str]]
+    remedy: str
+
+
+def _found(diagnostics: Sequence[Diagnostic]) -> Found:
+    groups = [each for each in diagnostics if each.kind == NOT_SEPARABLE]
+    return Found(sentences(each for each in diagnostics if not each.about_machine),
+                 sentences(each for each in diagnostics if each.about_machine and each.kind != NOT_SEPARABLE),
+                 [(", ".join(each.subject), str(each.evidence["effects"]),
+                   plain(float(each.evidence["variance_inflation"]), 2)) for each in groups],
+                 groups[0].remedy if groups else "")
 
 
 @cache
@@ -67,7 +85,7 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
         samples: columns that figures and machine share.
         charts: figures by the names under which the template shows them.
         scene: the machine in space.
-        diagnostics: of the answer; `hydroopt.report.findings` parts them.
+        diagnostics: of the answer; the page parts them by what they are about.
         content: whatever else the template shows.
     """
     samples = samples or Samples("", figures.NOTHING, {})
@@ -81,7 +99,7 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
                         "script-src " + " ".join(f"'sha256-{_digest(text)}'" for text in scripts)))
     style = _text("templates", "style.css") + (_text("vendor", "uPlot.min.css") if flat else "")
     return _environment().get_template(template).render(
-        charts=shown, scene=scene, found=findings(diagnostics),
+        charts=shown, scene=scene, found=_found(diagnostics),
         replayed=samples if len(samples.at) else None, policy=policy, style=Markup(style),
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")),
         scripts=[Markup(text) for text in scripts], **content)

@@ -19,7 +19,7 @@ from hydroopt.machine.machine_file import dump_machine, load_machine, read_machi
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
 from hydroopt.results.command_line import CommandLine
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId, validated
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
@@ -27,7 +27,6 @@ from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Use, Verdict
-from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS, UNSTATED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,12 +121,12 @@ class Answer(Drawn, ABC):
     @property
     def contradictions(self) -> tuple[Diagnostic, ...]:
         """The diagnostics that make it suspect."""
-        return of_kind(self.diagnostics, *CONTRADICTIONS)
+        return tuple(each for each in self.diagnostics if each.contradicts)
 
     @property
     def refuted(self) -> bool:
         """Whether the data contradict the machine file as they are read, so that commands end with exit code 3."""
-        return bool(of_kind(self.diagnostics, *REFUTATIONS))
+        return any(each.meaning is Meaning.REFUTATION for each in self.diagnostics)
 
     @property
     @abstractmethod
@@ -137,8 +136,8 @@ class Answer(Drawn, ABC):
     @property
     def verdict(self) -> Verdict:
         """What it can be used for, what not, and what to do next."""
-        against = self.contradictions
-        first = (*of_kind(against, *REFUTATIONS), *of_kind(self.diagnostics, *UNSTATED), *against)
+        first = [each for meaning in (Meaning.REFUTATION, Meaning.LACK, Meaning.CONTRADICTION)
+                 for each in self.diagnostics if each.meaning is meaning]
         checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in first) if remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
                        first[0].text if first else "", self.uses, (*checks, *self.next_steps), self.headline)
@@ -240,7 +239,7 @@ class Answer(Drawn, ABC):
         facts = self.verdict.facts | ({"found": found} if found else {})
         fits = [(data, channel, readable(fit.rms, fit.unit, 3), _percent(fit.vaf).strip())
                 for data, table in self.fit.items() for channel, fit in table.items()]
-        diagnostics = [(str(each.kind), each.text) for each in self.diagnostics]
+        diagnostics = [(each.kind, each.text) for each in self.diagnostics]
         return Card(f"{self.verdict.title}: {self.status}", facts, [table for table in (
             CardTable(("data", "channel", "RMS error", "VAF"), fits, noun="channels"), *self.parameters.card_tables(),
             CardTable(("diagnostic", ""), diagnostics, shown=3, noun="diagnostics")) if table.rows])
@@ -353,7 +352,7 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
                Verdict(json_file.title(machine_id.name, job, method), status, reason))
     diagnostics, findings = (validated(tuple[Diagnostic, ...], saved.get(key, ())) for key in (
         "diagnostics", "findings"))
-    checks = {each.remedy for each in (*diagnostics, *findings) if str(each)}  # which the evidence suffices to write
+    checks = {each.remedy for each in (*diagnostics, *findings)}
 
     def machine(answer: Answer) -> Machine:
         name = f"{machine_id.name}.toml"
@@ -377,7 +376,8 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
         "status": status, "method": method, "machine_id": machine_id, "verdict": verdict, "uses": verdict.uses,
         "headline": verdict.finding,
         "next_steps": tuple(step for step in verdict.next_steps if step.text not in checks),
-        "diagnostics": diagnostics, "findings": findings, "refuted": bool(of_kind(diagnostics, *REFUTATIONS)),
+        "diagnostics": diagnostics, "findings": findings,
+        "refuted": any(each.meaning is Meaning.REFUTATION for each in diagnostics),
         "parameters": ParameterTable(validated(tuple[ParameterRow, ...], saved.get("parameters", ()))),
         "fit": fits(saved.get("fit", {})),
         "fit_by_model": {name: fits(sets) for name, sets in saved.get("fit_by_model", {}).items()},

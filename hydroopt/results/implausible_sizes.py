@@ -15,7 +15,6 @@ from hydroopt.model.model import Model
 from hydroopt.parameters.unstated_bodies import LONG, link_sizes, reach
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.readable import readable
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 BORE = (0.005, 1.0)
@@ -62,7 +61,9 @@ def implausible_sizes(model: Model) -> Iterator[Diagnostic]:
 
 
 def _found(subject: str, size: str, usual: str, remedy: str) -> Diagnostic:
-    return Diagnostic(Kind.IMPLAUSIBLE_SIZE, (subject,), {"size": size, "usual": usual, "remedy": f"{remedy}."})
+    return Diagnostic.of("implausible size", (subject,), {"size": size, "usual": usual, "remedy": f"{remedy}."}, (
+        "{subject} is {size}, but {usual}."),
+        "{remedy}")
 
 
 def _cylinder(cylinder: Cylinder) -> Iterator[Diagnostic]:

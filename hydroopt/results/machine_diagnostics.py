@@ -18,9 +18,8 @@ from hydroopt.machine.unmeasured_joints import unmeasured_joints
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.unstated_bodies import unstated_bodies
-from hydroopt.results.diagnostic import Diagnostic, listed
+from hydroopt.results.diagnostic import Diagnostic, Meaning, listed
 from hydroopt.results.implausible_sizes import implausible_sizes
-from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 
 ROUNDED = 1e-6
@@ -55,12 +54,17 @@ def _unstated(model: Model) -> Iterator[Diagnostic]:
     if owners:
         file = Path(machine.source.strip("'"))
         robot = file.suffix in ROBOT_SUFFIXES
-        yield Diagnostic(Kind.UNSTATED_BODIES, tuple(chain.from_iterable(owners.values())), {
+        yield Diagnostic.of("bodies not stated", tuple(chain.from_iterable(owners.values())), {
             "found": "; ".join(f"{listed(names)} {why}" for why, names in owners.items()),
             "what": "mass, origin and inertia" if robot else "m, com and inertia_com",
-            "where": f"in <inertial> of {file.name}" if robot else "in its 'body' table"})
+            "where": f"in <inertial> of {file.name}" if robot else "in its 'body' table"},
+            "Bodies are missing or placeholders, so that nominal forces are not the machine's: {found}.",
+            "State {what} of each {where}, if need be as a guess with its sigma.", Meaning.LACK)
     if not any(kind.is_friction or kind is ParameterKind.COEFFICIENT for kind in kinds):
-        yield Diagnostic(Kind.NO_FRICTION, machine.joints)
+        yield Diagnostic.of("no friction stated", machine.joints, {}, (
+            "No friction is stated of {subject} or their actuators: the option --friction coulomb+viscous of identify "
+            "adds it."),
+            "Identify with that option, or state coulomb and viscous in the 'friction' of its drives.", Meaning.LACK)
 
 
 def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
@@ -69,14 +73,21 @@ def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
     impossible = tuple(owner for owner, matrix in pseudo.items()
                        if np.linalg.eigvalsh(matrix)[0] < -ROUNDED * max(float(np.trace(matrix)), 1e-9))
     if impossible:
-        yield Diagnostic(Kind.IMPOSSIBLE_NOMINAL_BODIES, impossible)
+        yield Diagnostic.of("nominal bodies not physically consistent", impossible, {}, (
+            "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a "
+            "principal moment of inertia is negative or exceeds the sum of the other two."),
+            "Correct them; moments of inertia of 'inertia_com' are about the centre of mass, those of 'inertia' about "
+            "the origin of the frame.", Meaning.PROPERTY)
 
 
 def _unmeasured(model: Model) -> Iterator[Diagnostic]:
     for each in unmeasured_joints(model.machine):
-        yield Diagnostic(Kind.UNMEASURED_JOINT, (each.joint,), {
+        yield Diagnostic.of("forces at a joint not measured", (each.joint,), {
             "unmeasured": " and ".join(each.unmeasured) + (" is" if len(each.unmeasured) == 1 else " are"),
-            "remedy": each.remedy})
+            "remedy": each.remedy},
+            "{unmeasured} not measured: the forces at {subject} are in no equation, neither predicted nor compared "
+            "with any log.",
+            "For {subject}, {remedy}.")
 
 
 def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
@@ -89,18 +100,28 @@ def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
     postures = np.random.default_rng(0).uniform(lower, upper, size=(POSTURES, len(lower)))
     torques = [np.array(model.gravity_torques(q, nominal)) for q in postures]
     if np.abs(torques).max() < 1e-6 * weight:  # a micrometre of lever arm
-        yield Diagnostic(Kind.GRAVITY_IDLE, machine.joints)
+        yield Diagnostic.of("gravity does no work", machine.joints, {}, (
+            "Gravity does no work on any joint ({subject}): as the file states them, the axes of all joints that turn "
+            "are vertical, so that holding still takes no force and shows nothing of masses."),
+            "If joints turn about level axes, state it: orientation = [\"90 deg\", \"0 deg\", \"0 deg\"] turns the "
+            "base frame's y axis up.")
 
 
 def _straight_cylinders(model: Model) -> Iterator[Diagnostic]:
     for name, width in straight_and_wide(model.machine):
-        yield Diagnostic(Kind.STRAIGHT_CYLINDER, (name,), {"range_deg": float(np.degrees(width))})
+        yield Diagnostic.of("a cylinder without a linkage turns a joint far", (name,), {
+            "range_deg": float(np.degrees(width))},
+            "{subject} is pinned to the link itself and turns it by {range_deg:.0f} deg. Where a joint turns as far, "
+            "a rocker and a coupler mostly stand between; left out, they make lever arms wrong by up to a fifth.",
+            "If the machine has them, state them by [[linkages]] and pin the rod to the rocker.")
 
 
 def _idle_linkages(model: Model) -> Iterator[Diagnostic]:
     for each in idle_linkages(model.machine):
-        yield Diagnostic(Kind.LINKAGE_IDLE, (each.loop,), {
-            "moves": each.moves, "what": each.what, "remedy": each.remedy})
+        yield Diagnostic.of("a cylinder passes a linkage by", (each.loop,), {
+            "moves": each.moves, "what": each.what, "remedy": each.remedy},
+            "{what}.",
+            "If the linkage moves {moves}, {remedy}.")
 
 
 def _unclear_postures(model: Model) -> Iterator[Diagnostic]:
@@ -109,4 +130,8 @@ def _unclear_postures(model: Model) -> Iterator[Diagnostic]:
         if each.near > CLEAR * each.far:
             near, far = ((f"{np.degrees(away):.1f} deg" if turns(machine, each.joint) else f"{away:.3f} m")
                          for away in (each.near, each.far))
-            yield Diagnostic(Kind.BETWEEN_BRANCHES, (each.loop,), {"near": near, "far": far, "stands": each.stands})
+            yield Diagnostic.of("a posture lies between two ways to assemble a loop", (each.loop,), {
+                "near": near, "far": far, "stands": each.stands},
+                "The posture of {subject} lies between the two ways to assemble it: {near} from the one that is taken "
+                "and {far} from the other.",
+                "State the posture of the machine more closely: {stands}.")

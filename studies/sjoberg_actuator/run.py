@@ -16,7 +16,6 @@ from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from studies.show import look, save, table
 
 DATA = Path(__file__).parents[2] / "data" / "sjoberg_hydraulic_actuator" / "actuator.mat"
@@ -196,7 +195,7 @@ def run() -> dict:
         "arx_test_rmse": rmse((arx(u, p) - p)[TRAIN:]), "test_spread_of_p": rmse(p[TRAIN:] - np.mean(p[TRAIN:])),
         "sigma_needed_over_stated": round(float(np.max(needed / SIGMA)), 3),
         "leakage_not_told": any(
-            each.subject == ("leakage",) for each in of_kind(diagnostics, Kind.LITTLE_INFORMATION)),
+            each.subject == ("leakage",) for each in of_kind(diagnostics, "little information in the data")),
         "intervals_with_zero": [name for name, so in zip(NUMBERS, with_zero, strict=True) if so],
         "diagnostics": [each.text for each in diagnostics]}
 

@@ -6,8 +6,8 @@ import pytest
 
 from hydroopt import Model, Plant, load_machine
 from hydroopt.control.feasibility import SPARE, flow_demand, refuse_unstable, steady_speeds
-from hydroopt.control.loop_margins import margins
-from hydroopt.control.sampled_plant import sampled
+from hydroopt.control.linear_plant import sampled
+from hydroopt.control.loops import margins
 from hydroopt.errors import ProblemError
 from hydroopt.machine.environment import Pump
 

@@ -33,7 +33,6 @@ from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.json_file import COMMON
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable
-from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 
 ROOT = Path(__file__).parents[2]
@@ -112,7 +111,7 @@ def test_json_is_what_was_agreed(left: Path) -> None:
     assert 0 < content["workspace"]["median_std"] <= content["workspace"]["largest_std"]
     assert {one["role"]: one["samples"] for one in content["inputs"]} == {"train": 45, "validation": 12}
     for one in content["diagnostics"]:
-        assert set(one) == {"kind", "subject", "evidence", "text", "remedy"}
+        assert set(one) == {"kind", "subject", "evidence", "text", "remedy", "meaning"}
         assert one["text"].endswith(".")
 
 
@@ -211,7 +210,7 @@ def test_what_is_not_determined_has_no_number() -> None:
     unknown = [one for one in answer.parameters.rows if one.value is None]
     assert all(one.identifiability in {"none", "combination"} for one in unknown)
     assert {one.name for one in unknown} == {
-        name for one in of_kind(answer.diagnostics, Kind.NOT_DETERMINED) for name in one.subject}
+        name for one in of_kind(answer.diagnostics, "not determined") for name in one.subject}
     content = answer.details()
     assert content["combinations"]
     assert content["conditioning"]["rank"] < content["conditioning"]["parameters"]
@@ -226,7 +225,7 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
     answer = replace(solved)  # without what was computed before
     answer.save(tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
-    assert "a dead point" in str(of_kind(answer.diagnostics, Kind.NO_CALIBRATED_MACHINE)[0])
+    assert "a dead point" in str(of_kind(answer.diagnostics, "no calibrated machine")[0])
     assert not any(step.action is Action.USE for step in answer.next_steps)
     monkeypatch.undo()
     assert solved.next_steps[-1].action is Action.USE
@@ -275,7 +274,7 @@ def test_command_on_real_poses(tmp_path: Path) -> None:
     loaded = load(tmp_path)
     assert [each.as_dict() for each in loaded.parameters.rows] == content["parameters"]
     assert [each.as_dict() for each in loaded.diagnostics] == content["diagnostics"]
-    assert ("panda_mukca.toml" not in loaded.files()) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
+    assert ("panda_mukca.toml" not in loaded.files()) == bool(of_kind(loaded.diagnostics, "no calibrated machine"))
 
 
 @pytest.mark.slow

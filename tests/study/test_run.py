@@ -22,8 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from fixtures import quick
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.study.directory import Directory
-from hydroopt.study.run import run
+from hydroopt.study.run import Directory, run
 from hydroopt.study.study import Study, seeds
 from hydroopt.study.table import Table
 

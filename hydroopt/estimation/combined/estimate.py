@@ -21,12 +21,11 @@ from hydroopt.machine.calibrated_numbers import with_calibrated
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Purpose, Use, determined
-from hydroopt.results.wording import CONTRADICTIONS
 from hydroopt.spatial.inertia import Array
 
 DETERMINED = 0.5
@@ -119,7 +118,7 @@ class CombinedEstimate(Estimate):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the readings of the geometry, then those of an `Estimate`."""
-        return (*of_kind(self.kinematics.diagnostics, *CONTRADICTIONS), *super().diagnostics)
+        return (*self.kinematics.contradictions, *super().diagnostics)
 
     @cached_property
     def misfit(self) -> Misfit | None:

@@ -13,6 +13,7 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.dynamic.diagnostics import sampling_not_converged
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
 from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
 from hydroopt.estimation.dynamic.training_logs import explained
@@ -26,6 +27,7 @@ from hydroopt.estimation.dynamic.two_session_problem import (
     solve_both,
     wald,
 )
+from hydroopt.estimation.dynamic.usability import scale_assumed
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
@@ -42,7 +44,6 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
@@ -123,25 +124,34 @@ class Payload(SessionAnswer):
         mass = rounded(self.mass.value, self.mass.std) if self.mass.identifiable else ""
         link = (self.link,)
         if self.p_value > NO_LOAD:
-            return (Diagnostic(Kind.NO_LOAD_DETECTED, link, {
+            return (Diagnostic.of("no payload detected", link, {
                 "p_value": self.p_value, "probability": probability(self.p_value),
-                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""}),)
+                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""},
+                "No load is detected on {subject} ({probability}){mass}."),)
         if mass:
             place = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
-            return (Diagnostic(Kind.LOAD_IDENTIFIED, link, {"mass": mass, "place": place}),)
-        return (Diagnostic(Kind.LOAD_MASS_NOT_IDENTIFIABLE, link, {
-            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""}),)
+            return (Diagnostic.of("payload identified", link, {"mass": mass, "place": place}, (
+                "The load on {subject} is {mass} kg{place}.")),)
+        return (Diagnostic.of("mass of the payload not identifiable", link, {
+            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""},
+            "These logs do not identify the mass of the load on {subject}{moment}."),)
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the logs, what the intervals assume, and what of the load these motions do not identify."""
         missing = tuple(one.name for one in self.com if not one.identifiable)
-        partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
+        partly = (Diagnostic.of("payload partly identifiable", missing, {}, (
+            "These motions do not identify {subject} of the load."),
+            "Move the load about more axes."),) if missing else ()
         if not self.mass.identifiable:
-            partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
-        scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
+            partly = (Diagnostic.of("mass of the payload not separable", (self.link,), {}, (
+                "These motions cannot separate the mass of the load on {subject} from its other parameters."),
+                "Vary speed and range of the motion with the load."),)
+        scale = () if self.gains else (scale_assumed(),)
         sampling = () if self.posterior is not None and self.posterior.converged else (
-            Diagnostic(Kind.NO_INTERIOR if self.posterior is None else Kind.SAMPLING_NOT_CONVERGED),)
+            sampling_not_converged() if self.posterior is not None else Diagnostic.of(
+                "intervals of least squares", (), {},
+                "Bounds or bodies leave no interior to sample: intervals are those of least squares without bounds."),)
         return (*self.of_logs, *sampling, *partly, *scale)
 
     @cached_property
@@ -226,7 +236,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         >>> unloaded, loaded = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
         >>> load = ho.payload(model.machine, [unloaded], [loaded], link="lift")
         >>> load.findings[0].kind
-        <Kind.NO_LOAD_DETECTED: 'no payload detected'>
+        'no payload detected'
     """
     machine = machine_of(machine, "payload")
     gain = (machine.faults.gain or 0.0) if gain is None else gain

@@ -20,6 +20,7 @@ from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.command_line import CommandLine
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import percentage, readable
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
@@ -41,6 +42,15 @@ TO_SCALE = "true to the stated areas and sensors' scales"
 """What masses and loads are without a known load: an error of all force readings in common is that of all masses."""
 _OF_PRIOR = "mostly the machine file's confidence"
 _SEVERITY = (Usable.YES, Usable.UNTESTED, Usable.NO)
+
+
+def scale_assumed() -> Diagnostic:
+    """What masses assume where no force is known."""
+    return Diagnostic.of("scale of force readings assumed exact", (), {}, (
+        "Force readings are assumed to be right in scale: a common relative error of all of them, as of piston areas "
+        "or sensors' scales, becomes that of the mass."),
+        "State with --gain-error how large their relative errors may be. In weigh, one known load determines them "
+        "(--known).")
 
 
 def uses(found: Identification, parameters: ParameterTable) -> tuple[Use, ...]:

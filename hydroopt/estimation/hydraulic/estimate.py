@@ -30,7 +30,6 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, judged
-from hydroopt.results.wording import Kind
 
 METHOD = "adjustment of volume balances"
 
@@ -72,7 +71,8 @@ class HydraulicEstimate(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What the logs lack, actuators that the model does not explain, and parameters that the data do not determine.
         """
-        lost = (Diagnostic(Kind.PRESSURE_NOT_MEASURED, channels, {"log": where})
+        lost = (Diagnostic.of("pressure not measured in a log", channels, {"log": where}, (
+            "{log} lacks {subject}: only the other chamber of the actuator shows its valve and oil."))
                 for where, channels in self.problem.lost_pressures.items())
         later = self.adjustment.later * [1.0, max(1.0, self.adjustment.residual_scale)]
         return (*lost, *unexplained_actuators(self.actuators, self.adjustment.misfit),

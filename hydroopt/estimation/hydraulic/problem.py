@@ -30,7 +30,6 @@ from hydroopt.model.plant import Plant
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterSet, parameter_table
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
@@ -169,9 +168,13 @@ class HydraulicProblem(Shown):
         pump = self.plant.machine.pump
         for log in (*self.logs, *self.validation):
             if pump and SUPPLY[0] in self.plant.states and SUPPLY[0] not in log.channels:
-                yield Diagnostic(Kind.SUPPLY_ASSUMED, SUPPLY[:1], {
+                yield Diagnostic.of("pressure of the supply not measured", SUPPLY[:1], {
                     "log": log.path or log.name, "pressure": float(self.plant.supply[0]) / 1e5,
-                    "flow": 6e4 * float(pump.max_flow or np.inf)})
+                    "flow": 6e4 * float(pump.max_flow or np.inf)},
+                    "{log} lacks {subject}: the supply counts as exactly {pressure:.3g} bar, but its pump gives at "
+                    "most {flow:.3g} L/min into a volume of its own, so that it falls under load; flows and their "
+                    "intervals are wrong by that.",
+                    "Log pump.p_supply.")
 
     @property
     def inputs(self) -> tuple[dict[str, Any], ...]:

@@ -25,14 +25,13 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 
@@ -87,11 +86,6 @@ class Calibration(KinematicSolution, Answer):
             self, nominal_prediction=prediction, tested=self.tested,
             impossible=self._written.reason, narrowed=self._written.narrowed, widened=self._written.widened,
             left_out=self.left_out, poses_left_out=before - len(problem.poses)))
-
-    @property
-    def contradictions(self) -> tuple[Diagnostic, ...]:
-        """What makes it suspect: diagnostics that contradict it, and a geometry that no machine can have."""
-        return (*super().contradictions, *of_kind(self.diagnostics, Kind.NO_CALIBRATED_MACHINE))
 
     @cached_property
     def parameters(self) -> ParameterTable:

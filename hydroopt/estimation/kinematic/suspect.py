@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning, filled
 from hydroopt.results.tables import number
-from hydroopt.results.wording import Kind
 
 
 class SuspectKind(StrEnum):
@@ -40,16 +39,57 @@ class SuspectKind(StrEnum):
         return self in (SuspectKind.STAGE, SuspectKind.STRETCH, SuspectKind.POSE)
 
 
-DIAGNOSTICS = {SuspectKind.PLANE: Kind.POSES_IN_ONE_PLANE, SuspectKind.STAGE: Kind.STAGE_CONTRADICTS,
-               SuspectKind.STRETCH: Kind.STRETCH_CONTRADICTS, SuspectKind.POSE: Kind.POSE_CONTRADICTS,
-               SuspectKind.FIXTURE: Kind.FIXTURE_MOVED, SuspectKind.BASE: Kind.BASE_MOVED,
-               SuspectKind.INSTRUMENT: Kind.INSTRUMENT_MOVED,
-               SuspectKind.TOOL: Kind.TOOL_MOVED, SuspectKind.OFFSET: Kind.SENSOR_OFFSET,
-               SuspectKind.SCALE: Kind.SENSOR_SCALE, SuspectKind.BACKLASH: Kind.BACKLASH,
-               SuspectKind.GEAR: Kind.SENSOR_ECCENTRIC, SuspectKind.SAG: Kind.JOINT_SAGS,
-               SuspectKind.NONLINEAR: Kind.SENSOR_NONLINEAR, SuspectKind.DISTANCE: Kind.DISTANCE_OFF}
-"""Kind of the diagnostic of each kind of suspect."""
+class _Words(NamedTuple):
+    """What is said of a kind of suspect: kind of its diagnostic, it in a few words as one of several, the sentence."""
 
+    kind: str
+    phrase: str
+    text: str
+    remedy: str = ""
+    meaning: Meaning = Meaning.CONTRADICTION
+
+
+_POSES, _BEFORE = "wrong poses at {place}", "by about {size:.1f} {unit} before {place}."
+_WORDS = {
+    SuspectKind.PLANE: _Words("poses in one plane", _POSES, (
+        "All joints that turned between the poses have parallel axes, so that the poses lie in one plane and geometry "
+        "across it is not identifiable."), "Measure poses that leave the plane.", Meaning.NOTE),
+    SuspectKind.STAGE: _Words("stage contradicts the others", _POSES, (
+        "The poses of '{subject}' ({place}) contradict the others: their errors are {strength:.1f} times the usual "
+        "ones.")),
+    SuspectKind.STRETCH: _Words("stretch of poses contradicts the others", _POSES, (
+        "In '{subject}', {place} contradict the others: their errors are {strength:.1f} times the usual ones."),
+        meaning=Meaning.NOTE),
+    SuspectKind.POSE: _Words("pose contradicts the others", _POSES, (
+        "Pose {subject} ({place}) contradicts the others: its error is {strength:.1f} times the usual one."),
+        meaning=Meaning.NOTE),
+    SuspectKind.FIXTURE: _Words("fixture moved", "fixture '{subject}' moved{by} before {place}", (
+        "The fixture '{subject}' moved " + _BEFORE)),
+    SuspectKind.BASE: _Words("base moved", "the base moved{by} before {place}", "The base moved " + _BEFORE),
+    SuspectKind.TOOL: _Words("tool moved", "the tool moved{by} before {place}", (
+        "The tool moved on its link " + _BEFORE)),
+    SuspectKind.INSTRUMENT: _Words("instrument moved", "instrument '{subject}' moved{by} before {place}", (
+        "The instrument '{subject}' moved " + _BEFORE), "Name another set-up from there on, in the column 'setup'."),
+    SuspectKind.OFFSET: _Words("sensor reads another zero", "another zero of '{subject}' {where}{by}", (
+        "The sensor of '{subject}' reads another zero {where}, by {size:.3g} {unit}.")),
+    SuspectKind.SCALE: _Words("sensor reads a wrong scale", "a wrong scale of '{subject}' by {size:.2f %}", (
+        "The sensor of '{subject}' reads a wrong scale, by {size:.2f %}.")),
+    SuspectKind.BACKLASH: _Words("backlash", "backlash of '{subject}'{by}", (
+        "'{subject}' has backlash: its reading depends on where it comes from, by {size:.3g} {unit}.")),
+    SuspectKind.GEAR: _Words("sensor or gear eccentric", "an eccentric sensor or gear of '{subject}'{by}", (
+        "The sensor or the gear of '{subject}' is eccentric: its error repeats once a turn, with an amplitude of "
+        "{size:.3g} {unit}.")),
+    SuspectKind.NONLINEAR: _Words("sensor not linear", "a nonlinear sensor of '{subject}'{by}", (
+        "The sensor of '{subject}' is not linear: its error at both ends differs from that in the middle by "
+        "{size:.3g} {unit}.")),
+    SuspectKind.SAG: _Words("joint gives way under gravity", "'{subject}' giving way under gravity{by}", (
+        "'{subject}' gives way under gravity, by up to {size:.3g} {unit}."),
+        "Take it in by --compliance auto, or state its compliance with a sigma."),
+    SuspectKind.DISTANCE: _Words("distance between fixtures wrong", "a wrong distance '{subject}'{by}", (
+        "The stated distance '{subject}' is wrong by {size:.2f} {unit}."), "Measure it again."),
+    SuspectKind.LACK: _Words("effect lacking", "an effect that the model lacks", (
+        "The model lacks an effect that the poses show."))}
+"""By kind of suspect; those that are poses alone do not contradict a calibration, from which they can be left out."""
 NAMED = 4
 """Most alternatives that a sentence names."""
 
@@ -88,53 +128,37 @@ class Suspect:
     @property
     def phrase(self) -> str:
         """It in a few words, as one of several."""
-        size = "" if np.isnan(self.size) else f" by {self._shown:.3g} {self.unit}"
-        match self.kind:
-            case SuspectKind.OFFSET:
-                return f"another zero of '{self.name}' {self.where}{size}"
-            case SuspectKind.SCALE:
-                return f"a wrong scale of '{self.name}' by {100 * self.size:.2f} %"
-            case SuspectKind.BACKLASH:
-                return f"backlash of '{self.name}'{size}"
-            case SuspectKind.GEAR:
-                return f"an eccentric sensor or gear of '{self.name}'{size}"
-            case SuspectKind.NONLINEAR:
-                return f"a nonlinear sensor of '{self.name}'{size}"
-            case SuspectKind.SAG:
-                return f"'{self.name}' giving way under gravity{size}"
-            case SuspectKind.FIXTURE:
-                return f"fixture '{self.name}' moved{size} before {self.place}"
-            case SuspectKind.INSTRUMENT:
-                return f"instrument '{self.name}' moved{size} before {self.place}"
-            case SuspectKind.BASE:
-                return f"the base moved{size} before {self.place}"
-            case SuspectKind.TOOL:
-                return f"the tool moved{size} before {self.place}"
-            case SuspectKind.DISTANCE:
-                return f"a wrong distance '{self.name}'{size}"
-            case SuspectKind.LACK:
-                return "an effect that the model lacks"
-        return f"wrong poses at {self.place}"
-
-    @property
-    def _shown(self) -> float:
-        return float(np.degrees(self.size)) if self.unit == "deg" else 1e3 * self.size
+        evidence = self._evidence
+        by = " by {size:.3g} {unit}".format(**evidence) if "unit" in evidence else ""
+        return filled(_WORDS[self.kind].phrase, self._subject, evidence | {"by": by})
 
     @property
     def diagnostic(self) -> Diagnostic:
         """The finding with its words."""
-        evidence: dict[str, Any] = {"place": self.place, "strength": self.strength}
         if self.rivals:
             candidates = (self, *self.rivals)
-            return Diagnostic(Kind.SUSPECTS_UNDECIDED, tuple(dict.fromkeys(s.name for s in candidates if s.name)), {
-                **evidence, "alternatives": "; ".join(s.phrase for s in candidates[:NAMED])
+            named = dict.fromkeys(each.name for each in candidates if each.name)
+            return Diagnostic.of("cause of the contradiction undecided", tuple(named), {
+                "place": self.place, "strength": self.strength,
+                "alternatives": "; ".join(s.phrase for s in candidates[:NAMED])
                 + (f"; and {len(candidates) - NAMED} more" if len(candidates) > NAMED else ""),
-                "strengths": [number(s.strength) for s in candidates]})
-        match self.kind:
-            case SuspectKind.SCALE:
-                evidence |= {"size": self.size}
-            case SuspectKind.PLANE | SuspectKind.STAGE | SuspectKind.STRETCH | SuspectKind.POSE:
-                pass
-            case _:
-                evidence |= {"size": self._shown, "unit": self.unit, "where": self.where}
-        return Diagnostic(DIAGNOSTICS[self.kind], (self.name,) if self.name else (), evidence)
+                "strengths": [number(s.strength) for s in candidates]},
+                "Something contradicts the poses, and the data do not decide between: {alternatives}.",
+                meaning=Meaning.CONTRADICTION)
+        words = _WORDS[self.kind]
+        return Diagnostic.of(words.kind, self._subject, self._evidence, words.text, words.remedy, words.meaning)
+
+    @property
+    def _subject(self) -> tuple[str, ...]:
+        return (self.name,) if self.name else ()
+
+    @property
+    def _evidence(self) -> dict[str, Any]:
+        """Where it is and how large, as sentences write it."""
+        evidence: dict[str, Any] = {"place": self.place, "strength": self.strength}
+        if np.isnan(self.size):
+            return evidence
+        if self.kind is SuspectKind.SCALE:
+            return evidence | {"size": self.size}
+        size = float(np.degrees(self.size)) if self.unit == "deg" else 1e3 * self.size
+        return evidence | {"size": size, "unit": self.unit, "where": self.where}

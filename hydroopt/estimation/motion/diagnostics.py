@@ -13,8 +13,7 @@ from hydroopt.estimation.motion.observations import Observations
 from hydroopt.estimation.motion.paths import Spline
 from hydroopt.estimation.motion.problem import SensorProblem
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, in_samples
 from hydroopt.spatial.inertia import Array
 
 PARTS = 8
@@ -51,20 +50,29 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
     tests = sum(len(data.channels) for _, data in pairs)
     for (statistic, size, free), channel, data in drifting:
         if tests * special.chdtrc(free, statistic) < SURE:
-            yield Diagnostic(Kind.BIAS_DRIFTS, (channel,), {
-                "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]})
+            yield Diagnostic.of("bias drifts", (channel,), {
+                "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]},
+                "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",
+                "Let the unit warm up, shorten the log, or state a larger noise.", Meaning.CONTRADICTION)
     for ratio, channel, data in sorted(far, key=lambda each: -each[0]):
-        yield Diagnostic(Kind.MOTION_UNEXPLAINED, (channel,), {"log": data.name, "ratio": ratio})
+        yield Diagnostic.of("readings not explained by the motion", (channel,), {"log": data.name, "ratio": ratio}, (
+            "In {log}, the residuals of {subject} are {ratio:.1f} times its stated noise."),
+            "Check the accuracy of the sensor, the bandwidth of the machine, and what the machine file leaves out.",
+            Meaning.CONTRADICTION)
     for share, channel, data in full:
-        yield Diagnostic(Kind.SATURATED, (channel,), {"log": data.name, "share": share})
+        yield Diagnostic.of("sensor saturated", (channel,), {"log": data.name, "share": share}, (
+            "In {log}, {share:.1f %} of the readings of {subject} are at the end of its range; they do not count."),
+            "Choose a larger range, or drive slower.")
     yield from _contradicted(problem, found)
     yield from _uncertain(problem, found)
     for log in problem.logs:
         for finding in log.findings:
             if finding.kind not in ("rows", "ignored"):
-                yield Diagnostic(Kind.FINDING, (log.path or log.name,), {"text": finding.text})
+                yield in_samples(log.path or log.name, finding.text)
     if unknown:
-        yield Diagnostic(Kind.NOT_BY_MOTION, tuple(unknown))
+        yield Diagnostic.of("not determined by motion and poses", tuple(unknown), {}, (
+            "Motion and poses hardly determine {subject}: the confidence is that of the machine file."),
+            "Drive other joints together, add postures at rest, or survey points of the tip.", Meaning.PROPERTY)
 
 
 def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:
@@ -77,9 +85,13 @@ def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnosti
         for joint, value in zip(machine.joints, std.tolist(), strict=True):
             slides = machine.position_unit(joint) == "m"
             if value > (COARSE_LENGTH if slides else COARSE_ANGLE):
-                yield Diagnostic(Kind.POSITION_UNCERTAIN, (joint,), {
+                yield Diagnostic.of("position of a joint uncertain", (joint,), {
                     "log": stretch.data[0].name, "std": 1e3 * value if slides else float(np.degrees(value)),
-                    "unit": "mm" if slides else "deg"})
+                    "unit": "mm" if slides else "deg"},
+                    "In {log}, the position of {subject} is uncertain by {std:.3g} {unit} (standard deviation), "
+                    "although its changes are known.",
+                    "Survey points of the tip at rest, read its joint or cylinder in some postures, or measure where "
+                    "its IMU sits.")
 
 
 def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:

@@ -9,10 +9,9 @@ themselves; at last they are simulated as they swing.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -33,13 +32,14 @@ from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
-from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
+from hydroopt.interrupt import deferred
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import recent_model
+from hydroopt.processes import pool
 from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
@@ -247,7 +247,6 @@ class _Worker:
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, end: float, stop: Event,
               values: Queue[tuple[int, str, float | None]]) -> None:
-        ignore()
         cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop.at(stop.is_set, end), values
 
     @classmethod
@@ -270,8 +269,7 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
     cancelled, values = context.Event(), context.Queue()
 
     def run(work: Callable[..., T], things: Sequence[object]) -> list[T]:
-        with blocked():
-            tasks = [pool.submit(_Worker.do, work, each) for each in things]
+        tasks = [crew.submit(_Worker.do, work, each) for each in things]
         running = set(tasks)
         while running:
             _, running = wait(running, timeout=0.2)
@@ -282,8 +280,7 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
         return [task.result() for task in tasks]
 
     try:
-        with ProcessPoolExecutor(processes, context, end_with_parent, (
-                pickle.dumps((_Worker.start, (problem, rest, end))), cancelled, values)) as pool:
+        with pool(processes, _Worker.start, problem, rest, end, shared=(cancelled, values)) as crew:
             yield run
     except BrokenProcessPool:
         raise SolverError("a process ended without an answer", where="excitation",

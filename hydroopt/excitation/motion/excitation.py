@@ -28,14 +28,13 @@ from hydroopt.machine.machine import Machine
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -112,24 +111,37 @@ class Excitation(Answer):
         model, accuracy = self.problem.information.model, self.accuracy
         yield from machine_diagnostics(model)
         if self.stopped:
-            yield Diagnostic(Kind.SEARCH_CUT_SHORT, (), {"how": self.stopped})
+            yield Diagnostic.of("search cut short", (), {"how": self.stopped}, (
+                "The search was cut short {how}: the motion keeps all limits, but may not be the best."),
+                "Search longer, without `--search-seconds` or with more of them.")
         if self.pace == 1 and self.gain < 1:  # random motions of a slower pace may be larger
-            yield Diagnostic(Kind.RANDOM_TELLS_MORE, (), {"motions": self.random_motions})
+            yield Diagnostic.of("a random motion tells more", (), {"motions": self.random_motions}, (
+                "The best of {motions} random motions determines more than this one: the search ended too early."),
+                "Search longer (`--search-seconds`) or from more starts (`--starts`).")
         if missing := _unlimited(self.machine):
-            yield Diagnostic(Kind.NOT_LIMITED, missing)
+            yield Diagnostic.of("not limited", missing, {}, "The machine file does not limit {subject}.",
+                                "State what must be limited.", Meaning.PROPERTY)
         forces = tuple(balance.name for balance, std in zip(model.machine.balances, force_noise(model), strict=True)
                        if balance.actuators and not np.isfinite(std))
         if forces:
-            yield Diagnostic(Kind.NO_FORCE_ACCURACY, forces)
+            yield Diagnostic.of("no accuracy of forces stated", forces, {}, (
+                "The machine file states no accuracy for the force of {subject}; its noise is assumed as a tenth of a "
+                "typical force."), "State the accuracy in [[sensors]].", Meaning.PROPERTY)
         if angles := tuple(joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None):
-            yield Diagnostic(Kind.NO_ANGLE_ACCURACY, angles)
+            yield Diagnostic.of("no accuracy of angles stated", angles, {}, (
+                "The machine file states no accuracy for the angle of {subject}; it counts as exact here: the true σ "
+                "will be larger than stated."), "State the accuracy in [[sensors]].", Meaning.PROPERTY)
         if biased := int(np.sum(np.isfinite(accuracy.base) & (accuracy.bias > accuracy.base))):
-            yield Diagnostic(Kind.SMOOTHING_BIAS, (), {"biased": biased, "of": len(accuracy.base)})
+            yield Diagnostic.of("bias by smoothing", (), {"biased": biased, "of": len(accuracy.base)}, (
+                "Smoothing noisy angles will bias {biased} of {of} base parameters by more than their σ."),
+                "Drive slower, or measure the angles more accurately.")
         names = model.parameters.names
         unimproved = tuple(name for name, before, after in zip(names, accuracy.before, accuracy.after, strict=True)
                            if not after <= UNIMPROVED * before)
         if unimproved:
-            yield Diagnostic(Kind.NOT_IMPROVED, unimproved, {"count": len(unimproved), "of": len(names)})
+            yield Diagnostic.of("parameters not improved", unimproved, {"count": len(unimproved), "of": len(names)}, (
+                "{count} of {of} parameters will stay about as uncertain as they are: {subject}."),
+                meaning=Meaning.PROPERTY)
 
     @cached_property
     def accuracy(self) -> ExpectedAccuracy:

@@ -19,12 +19,11 @@ from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 STANDS = 1e-9
@@ -90,11 +89,15 @@ class PosePlan(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Parameters that these poses do not identify, and ways between them that use a reserve."""
         lost = tuple(name for name, std in zip(self.names, self.std, strict=True) if not np.isfinite(std))
-        found: tuple[Diagnostic, ...] = (Diagnostic(Kind.NOT_IDENTIFIED_BY_POSES, lost),) if lost else ()
+        found: tuple[Diagnostic, ...] = (Diagnostic.of("not identified by poses", lost, {}, (
+            "These poses do not identify {subject}."),
+            "Fix them, add priors, or add poses and sensors that depend on them.", Meaning.PROPERTY),) if lost else ()
         if self.detours:
             limits = tuple(dict.fromkeys(name for names in self.detours.values() for name in names))
             ways = ", ".join(f"{k - 1} to {k}" for k in self.detours)
-            found += (Diagnostic(Kind.WAYS_USE_RESERVE, limits, {"ways": ways}),)
+            found += (Diagnostic.of("ways use reserve", limits, {"ways": ways}, (
+                "Straight ways between poses use a reserve of {subject}: {ways}."),
+                "Drive one joint after another there, away from what is close.", Meaning.PROPERTY),)
         return found
 
     @cached_property

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt.kernels import simplified as subject
+from hydroopt.kernels import virtual_machine as subject
 from hydroopt.kernels.expression_graph import program
 
 

@@ -1,16 +1,16 @@
-"""The sampled linear plant about an operating point.
+"""The plant about an operating point as a linear system of python-control, in continuous time and sampled.
 
-Commands are held between samples and delayed by the valves; both are exact.
+Sampled, commands are held between samples and delayed by the valves; both are exact.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hydroopt.control.linearisation import signals
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
@@ -129,3 +129,39 @@ def sampled(system: StateSpace, delays: Array, period: float) -> StateSpace:
     acting = control.ss(held.A, by_command.reshape(len(held.A), -1), held.C, 0, period)
     return control.ss(acting * control.append(*registers), states=[*names, *system.state_labels],
                       inputs=system.input_labels, outputs=system.output_labels)
+
+
+def signals(names: Iterable[str]) -> list[str]:
+    """Names of states, commands or outputs in python-control, which allows no dots: underscores stand for them.
+
+    >>> signals(["boom.q", "pump.p_supply"])
+    ['boom_q', 'pump_p_supply']
+    """
+    return [name.replace(".", "_") for name in names]
+
+
+def state_space(plant: Plant, steady: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
+                outputs: Sequence[str] | None = None) -> StateSpace:
+    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs, see `signals`.
+
+    Positions change in a steady motion: the linear model holds while the posture has hardly changed.
+
+    Args:
+        plant: the machine.
+        steady: state and commands about which it is linearised, such as those of `Plant.steady`.
+        psi: dynamic parameters (p,).
+        theta: hydraulic ones.
+        supply: pressures (2,) of supply and tank; those of the machine file if None.
+        outputs: names of the states that are outputs; the joints' positions if None.
+
+    Raises:
+        ProblemError: the machine file states no supply pressure.
+    """
+    import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
+
+    A, B = plant.jacobians(steady.x, steady.u, plant.supply if supply is None else supply, psi, theta)
+    names = plant.states
+    chosen = tuple(outputs or names[:len(plant.machine.joints)])
+    C = np.eye(len(names))[[names.index(name) for name in chosen]]
+    return control.ss(A, B, C, 0, name=plant.machine.name, states=signals(names), inputs=signals(plant.inputs),
+                      outputs=signals(chosen))
