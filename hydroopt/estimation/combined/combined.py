@@ -25,9 +25,9 @@ from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
 from hydroopt.estimation.combined.log_geometry import LogGeometry
 from hydroopt.estimation.combined.log_postures import postures
 from hydroopt.estimation.combined.problem import CombinedProblem
+from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside
 from hydroopt.estimation.dynamic.identification import WITH_PRIORS
 from hydroopt.estimation.dynamic.identify import Method, identify
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.kinematic.calibrate import calibrate

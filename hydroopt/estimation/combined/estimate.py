@@ -12,8 +12,8 @@ import numpy as np
 from hydroopt.estimation.combined.problem import CombinedProblem
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.fitted_motion import NumbersGiven
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
-from hydroopt.estimation.dynamic.numbers_beside import NumbersGiven
 from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic.calibration import Calibration

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.numbers_beside import Forces
+from hydroopt.estimation.dynamic.fitted_motion import Linear
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
 from hydroopt.machine.geometry import Geometry
@@ -44,8 +44,8 @@ class ForcesByGeometry:
         """The outputs of `function` at N samples of the motion, each (N, r, columns)."""
         return self._runner.over(self.function, *state)
 
-    def at(self, data: Experiment, psi: Array, g: Array) -> Forces:
+    def at(self, data: Experiment, psi: Array, g: Array) -> Linear:
         """The forces of an experiment, linearised about its motion, ψ (p,) and g (k,)."""
         force, by_q, by_qd, by_qdd, by_psi, by_g = self.over(*data.inputs(), psi, g)
         right = data.force - force[:, :, 0] + by_psi @ psi + by_g @ g
-        return Forces(np.array([by_q, by_qd, by_qdd]), by_psi, by_g, right)
+        return Linear([by_q, by_qd, by_qdd], np.concatenate([by_g, by_psi], axis=2), right)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.numbers_beside import Forces, Readings
+from hydroopt.estimation.dynamic.fitted_motion import Linear
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.spatial.inertia import Array
 
@@ -98,20 +98,21 @@ class LogGeometry:
     def _joints(self) -> int:
         return len(self.postures.model.machine.joints)
 
-    def readings(self, q: Array) -> Readings:
+    def readings(self, q: Array) -> Linear:
         """The readings about a motion (N, n) and the present numbers."""
         left, by_q, by_numbers = self._linearised(q).projected()
         by_free = by_numbers[:, :, self.postures.free]
-        return Readings(by_q, by_free, by_free @ self.value - left)
+        return Linear([by_q], by_free, by_free @ self.value - left)
 
-    def forces(self, data: Experiment, psi: Array) -> Forces:
+    def forces(self, data: Experiment, psi: Array) -> Linear:
         """The forces of an experiment about its motion, ψ (p,) and the present numbers."""
         geometry = len(self.postures.model.parameters)  # fixtures and locked joints come behind, and do not matter
         made = self.force.at(data, psi, self.theta[:geometry])
         every = np.zeros((*made.right.shape, len(self.theta)))
-        every[:, :, :geometry] = made.by_numbers
+        every[:, :, :geometry], by_psi = np.split(made.by_common, [geometry], axis=2)
         held = np.where(self.postures.free, 0.0, self.theta)
-        return made._replace(by_numbers=every[:, :, self.postures.free], right=made.right - every @ held)
+        by_common = np.concatenate([every[:, :, self.postures.free], by_psi], axis=2)
+        return made._replace(by_common=by_common, right=made.right - every @ held)
 
     def moved(self, before: Array, after: Array, value: Array) -> Self:
         """With other numbers (k,), when the motion (N, n) has moved along: the calibrator's joints follow."""
