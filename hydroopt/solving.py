@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 SOLVERS = {
     ("hydroopt.estimation.combined.problem", "CombinedProblem"): (
-        "hydroopt.estimation.combined.combined", "identify_with_geometry"),
+        "hydroopt.estimation.combined.estimate", "identify_with_geometry"),
     ("hydroopt.estimation.dynamic.problem", "IdentificationProblem"): (
         "hydroopt.estimation.dynamic.identify", "identify"),
     ("hydroopt.estimation.kinematic.problem", "CalibrationProblem"): (
-        "hydroopt.estimation.kinematic.calibrate", "calibrate"),
+        "hydroopt.estimation.kinematic.calibration", "calibrate"),
     ("hydroopt.estimation.motion.problem", "SensorProblem"): (
         "hydroopt.estimation.motion.sensor_calibration", "calibrate_sensors"),
     ("hydroopt.estimation.hydraulic.problem", "HydraulicProblem"): (
@@ -80,8 +80,8 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
             or of poses, a measure-up, a calibrator, or what to measure next.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
-            `hydroopt.estimation.kinematic.calibrate.calibrate`,
-            `hydroopt.estimation.combined.combined.identify_with_geometry`,
+            `hydroopt.estimation.kinematic.calibration.calibrate`,
+            `hydroopt.estimation.combined.estimate.identify_with_geometry`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
             `hydroopt.excitation.poses.exchange.fedorov_exchange`,
             `hydroopt.excitation.poses.measure_up.fewest_readings`,

@@ -9,7 +9,7 @@ import numpy as np
 import hydroopt
 from hydroopt import KinematicModel, calibration_problem, load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import optimum
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
 from hydroopt.excitation.calibrator.construction import BRACKET, Construction, carrying

@@ -7,9 +7,9 @@ import numpy as np
 
 import hydroopt
 from hydroopt import KinematicModel, calibration_problem, load_machine
-from hydroopt.estimation.kinematic.calibrate import optimum
+from hydroopt.estimation.kinematic.accuracy import machine_end
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
-from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.exchange import Sieve
 from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
 from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan

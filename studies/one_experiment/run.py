@@ -18,8 +18,7 @@ from hydroopt import (
     simulate,
     solve,
 )
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.estimation.combined.log_postures import postures
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, postures
 from hydroopt.simulation.postures import close
 from hydroopt.simulation.simulate import Trajectory
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hydroopt import load_machine, solve
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.excitation.poses.problem import pose_problem
 from hydroopt.machine.links import Note

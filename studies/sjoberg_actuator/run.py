@@ -11,7 +11,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
-from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics
+from hydroopt.estimation.hydraulic.estimate import parameter_diagnostics
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet

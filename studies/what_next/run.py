@@ -13,8 +13,8 @@ import hydroopt
 from hydroopt import KinematicModel, Model, Poses, calibration_problem
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.estimation.kinematic.calibrate import optimum
-from hydroopt.estimation.kinematic.workspace import machine_end
+from hydroopt.estimation.kinematic.accuracy import machine_end
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.excitation.next.additions import Addition, equipped
 from hydroopt.excitation.next.goals import LoadGoal
 from hydroopt.excitation.next.measurements import Measurement

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 from fixtures.pages import data_of, stands_alone, text_of
 from hydroopt import cli
 from hydroopt.errors import MachineError, SolverError
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.logs.poses import Poses
@@ -221,7 +220,7 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise MachineError("a dead point lies in the range", where="the calibrated machine", remedy="widen it")
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.read_machine", refuse)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.solution.read_machine", refuse)
     answer = replace(solved)  # without what was computed before
     answer.save(tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
@@ -239,7 +238,7 @@ def test_a_calibration_that_writes_no_machine_says_so_first(tmp_path: Path, monk
         model, q, [""] * 20, [""] * 20, geometry=model.parameters.nominal,
         channels=postures.measured_channels(model), seed=1)))
     assert answer.status is Status.OK
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.within_strokes", Mock(
+    monkeypatch.setattr("hydroopt.estimation.kinematic.solution.within_strokes", Mock(
         side_effect=MachineError("a dead point lies in the range", where="lift", remedy="narrow its limits")))
     without = replace(answer)  # without what was computed before
     without.save(tmp_path)
@@ -314,7 +313,7 @@ def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.Captur
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("no convergence", where="IPOPT", remedy="check the poses")
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrate.calibrate", fail)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.calibration.calibrate", fail)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "calibrate", *mukca("high"), "-o", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
         cli.main()

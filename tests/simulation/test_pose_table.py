@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.excitation.poses.exchange import fedorov_exchange
 from hydroopt.excitation.poses.plan import PosePlan

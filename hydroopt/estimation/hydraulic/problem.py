@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
-from hydroopt.estimation.hydraulic.adjustment import Balanced
-from hydroopt.estimation.hydraulic.balance_program import nonlinear_program
-from hydroopt.estimation.hydraulic.motion_readings import MotionReadings
-from hydroopt.estimation.hydraulic.readings import Readings, pieces
+from hydroopt.estimation.hydraulic.adjustment import Balanced, nonlinear_program
+from hydroopt.estimation.hydraulic.readings import MotionReadings, Readings, pieces
 from hydroopt.estimation.hydraulic.volume_balance import VolumeBalance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import all_of

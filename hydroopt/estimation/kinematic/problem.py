@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import listing
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.kinematic.instrument_poses import placed
-from hydroopt.estimation.kinematic.joint import nonlinear_program
+from hydroopt.estimation.kinematic.maximum_likelihood import nonlinear_program
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
 from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
 from hydroopt.logs.frames import all_of

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry
 from hydroopt.excitation.next.additions import Addition, additions, equipped
 from hydroopt.excitation.next.goals import Goal, LinearGoal, LoadGoal, force_goal, load_goal
 from hydroopt.excitation.next.knowledge import Knowledge

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, calibration_of
 from hydroopt.excitation.poses.readings import Reading
 from hydroopt.simulation import postures

@@ -10,17 +10,14 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.combined import _about, _beside, identify_with_geometry
-from hydroopt.estimation.combined.estimate import CombinedEstimate
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.estimation.combined.log_geometry import LogGeometry
-from hydroopt.estimation.combined.log_postures import postures
+from hydroopt.estimation.combined.estimate import CombinedEstimate, _about, _beside, identify_with_geometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeometry, postures
 from hydroopt.estimation.combined.problem import CombinedProblem, combined_problem
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.kernels.native import FEW
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log

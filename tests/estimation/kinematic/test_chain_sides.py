@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.chain_sides import chain_sides
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.estimation.kinematic.residuals import chain_sides
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine

@@ -9,8 +9,9 @@ import pytest
 
 from hydroopt import load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic import gauss_newton, link_by_link
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.calibration import calibrate
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
@@ -84,7 +85,7 @@ def test_without_noise_the_truth_comes_back(model: KinematicModel, closed: tuple
                                             machine: Machine, seed: int) -> None:
     problem = held(calibration_problem(machine, read(model, closed, None), priors=False))
     start = off(problem, seed)
-    theta, q = gauss_newton.maximum_likelihood(problem, start, guess_unsensed(problem, start))
+    theta, q = maximum_likelihood(problem, start, guess_unsensed(problem, start))
     np.testing.assert_allclose(theta, problem.parameters.nominal, atol=1e-8)
     chain = [k for k, name in enumerate(model.joints) if name in ("stick", "boom", "swing")]
     moving = problem.layout.moving[:, chain]
@@ -575,7 +576,7 @@ def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
     start = np.maximum(parameters.nominal + rng.choice([-1, 1], len(parameters)) * away * arm.free, parameters.lower)
     if method == "hierarchical":  # which knows no bounds
         arm = replace(arm, parameters=replace(parameters, lower=np.full(len(parameters), -np.inf)))
-    theta, *_ = (gauss_newton.maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
+    theta, *_ = (maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
         arm, start, arm.layout.reading)
     return np.abs(theta[: len(arm.model.parameters)] - arm_truth(arm.model))
 

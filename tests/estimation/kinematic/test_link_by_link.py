@@ -13,7 +13,7 @@ import pytest
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.machine.links import Note

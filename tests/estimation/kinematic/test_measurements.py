@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hydroopt.errors import MachineError, ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate, optimum
-from hydroopt.estimation.kinematic.instrument_poses import FLIP
+from hydroopt.estimation.kinematic.calibration import calibrate, optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.pose_checks import FLIP
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import dump_machine, read_machine

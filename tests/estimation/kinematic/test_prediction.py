@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydroopt import Calibration, Poses, calibration_problem, load_machine, read_pose_files, solve
-from hydroopt.estimation.kinematic.prediction import prediction_test
+from hydroopt.estimation.kinematic.accuracy import prediction_test
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.status import Status

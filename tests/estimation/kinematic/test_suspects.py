@@ -10,10 +10,9 @@ import pytest
 
 from hydroopt import load_machine, pose_problem, solve
 from hydroopt.errors import SolverError
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
+from hydroopt.estimation.kinematic.diagnostics import wrong_distances
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.stated_checks import wrong_distances
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import hydroopt
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
-from hydroopt.estimation.kinematic.workspace import machine_end
 from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
 from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
 from hydroopt.machine.machine_file import load_machine

@@ -8,7 +8,7 @@ import pytest
 import hydroopt
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic import joint
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.excitation.poses.exchange import PASSES, candidate_postures, fedorov_exchange
 from hydroopt.excitation.poses.order import in_passes
@@ -151,7 +151,7 @@ def test_std_is_the_scatter_of_the_joint_estimator():
     for seed in range(30):
         poses = postures.record(MODEL, plan.q, plan.stage, plan.fixture, geometry=NOMINAL, seed=seed)
         problem = calibration_problem(CAT, poses, fixed=FIXED, priors=False)
-        theta = joint.maximum_likelihood(problem, problem.start, plan.q)[0]
+        theta = maximum_likelihood(problem, problem.start, plan.q)[0]
         errors.append(((theta - problem.parameters.nominal)[problem.free]) / plan.std)
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1, rel=0.1)
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), 1, atol=0.4)  # ± 3 / √(2·30)
