@@ -82,7 +82,7 @@ def excite(
     from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import excitation_problem
-    from hydroopt.excitation.motion.known import identified
+    from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
     from hydroopt.report import operator_sheet
