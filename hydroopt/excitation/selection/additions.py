@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
-from hydroopt.machine.targets import TIP
+from hydroopt.machine.survey import TIP
 from hydroopt.model.closed_chain import KinematicModel
 
 TAPED = "3 mm"

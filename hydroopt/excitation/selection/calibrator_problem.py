@@ -11,9 +11,9 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.selection.pose_problem import CombinatorialProblem
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 
 BRACKET = "calibrator_bracket"

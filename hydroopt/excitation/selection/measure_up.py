@@ -26,8 +26,8 @@ from hydroopt.excitation.selection.pose_plan import PosePlan
 from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, PoseLabels, PoseProblem, pose_problem
 from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Reading, readings, tip_rows
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.progress import Progress, silent
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number

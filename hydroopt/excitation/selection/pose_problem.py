@@ -17,8 +17,8 @@ from hydroopt.excitation.criteria import refuse_criterion
 from hydroopt.limits.postures import PostureLimits, held_link
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.logs.poses import Texts
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet

@@ -30,8 +30,8 @@ from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, pos
 from hydroopt.excitation.selection.readings import PostureReadings, readings, tip_rows
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet

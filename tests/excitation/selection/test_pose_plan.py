@@ -14,10 +14,10 @@ from hydroopt.excitation.selection.candidate_postures import candidate_postures,
 from hydroopt.excitation.selection.exchange import PASSES, fedorov_exchange
 from hydroopt.excitation.selection.pose_problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
-from hydroopt.machine.calibration_chain import Tracker
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
 from hydroopt.simulation import postures
