@@ -8,7 +8,7 @@ from hydroopt.codegen.symbols import COINCIDENT, Field, Guard, Routine, Symbols
 from hydroopt.machine.geometry import Geometry
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.joint_from_length import joint_from_length
-from hydroopt.model.joints_from_several_lengths import back
+from hydroopt.model.joints_from_readings import back
 
 SETTLED = 1e-5
 """Last of Newton's steps [rad or m] from which on no posture counts as having the lengths."""

@@ -15,7 +15,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
-from hydroopt.model.joints_from_several_lengths import Slide, Together, slides, together
+from hydroopt.model.joints_from_readings import Slide, Together, slides, together
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics

@@ -16,9 +16,8 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
-from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
-from hydroopt.model.kinematics import coordinates
+from hydroopt.model.kinematics import coordinates, imu_readings
 from hydroopt.model.recent import Recent
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph

@@ -11,11 +11,13 @@ as in the thesis, and otherwise the joint's own equation, from which unmeasured 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from hydroopt.errors import ProblemError
 from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
@@ -24,12 +26,96 @@ from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
 from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.mechanism import tree_motion
-from hydroopt.model.own_forces import MotionSymbols, own_force
 from hydroopt.parameters.dynamic import bodies, parameter_set
 from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.poses import Pose, skew
+
+
+@dataclass(frozen=True)
+class MotionSymbols:
+    """What a force term may depend on, in SI.
+
+    Attributes:
+        q, qd, qdd: positions, velocities and accelerations of the joints that move by themselves, by name.
+        position, speed: length of the cylinder or position of the joint that the actuator drives, and its derivative.
+        pressure: sum of the pressures in both chambers of the cylinder [Pa].
+    """
+
+    q: Mapping[str, ca.SX]
+    qd: Mapping[str, ca.SX]
+    qdd: Mapping[str, ca.SX]
+    position: ca.SX
+    speed: ca.SX
+    pressure: ca.SX
+
+
+@dataclass(frozen=True, eq=False)
+class OwnForce:
+    """A term as an expression.
+
+    Attributes:
+        actuator: its place among the actuators.
+        names: of its parameters.
+        symbols: of its coefficients (c,).
+        force: [N or N·m].
+        slope: (1, c) derivatives by the coefficients.
+        linear: whether the force is ``slope · coefficients`` with a slope that does not depend on these.
+        pressed: whether it depends on the pressure.
+    """
+
+    actuator: int
+    names: tuple[str, ...]
+    symbols: ca.SX
+    force: ca.SX
+    slope: ca.SX
+    linear: bool
+    pressed: bool
+
+    def at(self, parameters: ParameterSet, psi: ca.SX | ca.DM) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """The force with the parameters ψ (p,), and its derivative by each parameter."""
+        values = ca.SX(psi[[parameters.index(name) for name in self.names]])
+        force, slope = ca.substitute([self.force, self.slope], [self.symbols], [values])
+        return force, dict(zip(self.names, ca.horzsplit(slope), strict=True))
+
+
+def own_force(term: ForceTerm, actuator: int, motion: MotionSymbols) -> OwnForce:
+    """A term in the symbols of a model.
+
+    Raises:
+        ProblemError: its function fails, returns no number, or depends on other symbols; or the force does not depend
+            on a coefficient.
+    """
+    symbols = ca.SX.sym("own", len(term.coefficients))
+    try:
+        force = ca.SX(term.expression(motion, dict(zip(term.coefficients, ca.vertsplit(symbols), strict=True))))
+    except ProblemError:
+        raise
+    except Exception as error:
+        raise ProblemError(f"its function failed ({error})".replace("\n", " "), where=term.where,
+                           remedy="compute one number from the motion and the coefficients with CasADi") from error
+    if not force.is_scalar():
+        raise ProblemError(f"its function returns {force.shape[0]} by {force.shape[1]} numbers", where=term.where,
+                           remedy="return one number [N or N*m]")
+    force = ca.densify(force)
+    if unused := [name for name, symbol in zip(term.coefficients, ca.vertsplit(symbols), strict=True)
+                  if not ca.depends_on(force, symbol)]:
+        raise ProblemError(f"the force does not depend on {', '.join(unused)}", where=term.where,
+                           remedy="use all coefficients, or leave these out")
+    known = ca.vertcat(symbols, motion.pressure, *_inputs(motion))
+    if strange := [str(symbol) for symbol in ca.symvar(force) if not ca.depends_on(known, symbol)]:
+        raise ProblemError(f"the force depends on {', '.join(strange[:5])}", where=term.where,
+                           remedy="use the motion and the coefficients that the function is given")
+    slope = ca.jacobian(force, symbols)
+    linear = not ca.depends_on(slope, symbols) and ca.substitute(force, symbols, ca.SX.zeros(*symbols.shape)).is_zero()
+    return OwnForce(actuator, tuple(term.addresses), symbols, force, slope, linear,
+                    ca.depends_on(force, motion.pressure))
+
+
+def _inputs(motion: MotionSymbols) -> Sequence[ca.SX]:
+    return [*motion.q.values(), *motion.qd.values(), *motion.qdd.values()]
+
 
 POSTURES = 20
 """Number of random postures that tell which wrenches a machine can measure."""

@@ -12,8 +12,7 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
-from hydroopt.model.imu_readings import imu_readings
-from hydroopt.model.kinematics import coordinates
+from hydroopt.model.kinematics import coordinates, imu_readings
 from hydroopt.model.regressor import Dynamics
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import roll_pitch_yaw

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.kinematic.observability import FARTHEST
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
+from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
@@ -76,14 +77,14 @@ def closed_angles(problem: PoseEquations, theta: Array, q: Array) -> Array:
     layout, model = problem.layout, problem.model
     strict = layout.present[:, : model.loop_rows] & (problem.row_sigma[:, : model.loop_rows] == 0)
     weight = np.where(layout.sensed, problem.angle_sigma, np.where(layout.moving, 1.0, 0.0))
-    for _ in range(STEPS if np.any(strict) else 0):
-        gap, by_q = model.over(model.loop_by_angles, theta[: len(model.parameters)], q, problem.places(theta))
-        gap = gap[:, :, 0] * strict
-        if np.max(np.abs(gap)) < TIGHT:
-            break
-        weighted = by_q * strict[:, :, None] * weight[:, None, :]
-        q = q - weight * (np.linalg.pinv(weighted, rcond=1e-9) @ gap[:, :, None])[:, :, 0]
-    return q
+    if not np.any(strict):
+        return q
+
+    def gaps(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        gap, by_q = model.over(model.loop_by_angles, theta[: len(model.parameters)], own, problem.places(theta)[which])
+        return gap[:, :, 0] * strict[which], by_q * strict[which][:, :, None]
+
+    return nearest(gaps, q, steps=STEPS, close=TIGHT, ease=weight, damped=False).x
 
 
 def follow_unsensed(problem: PoseEquations, theta: Array, q: Array) -> Array:
@@ -96,20 +97,16 @@ def _followed(problem: PoseEquations, theta: Array, q: Array, moving: NDArray[np
     """Joint vectors whose `moving` (N, n) angles make some rows, `present` (N, m), as small as they can."""
     model = problem.model
     g, places = theta[: len(model.parameters)], problem.places(theta)
-    least, step, reached = np.full(len(q), np.inf), np.zeros_like(q), q
-    for _ in range(STEPS if np.any(moving) else 0):
-        rows, by_q = model.over(model.observed_by_angles, g, reached - step, places)
-        rows = np.where(present, rows[:, :, 0] - problem.layout.target, 0.0)
-        size = np.sum(rows**2, axis=1)
-        better = size < least  # never where a linkage cannot close
-        reached = np.where(better[:, None], reached - step, reached)
-        least = np.where(better, size, least)
-        found = explained_by_unsensed(np.where((better[:, None] & present)[:, :, None], by_q, 0.0), moving,
-                                      np.where(better[:, None], rows, 0.0))
-        step = np.where(better[:, None], np.clip(found, -FARTHEST, FARTHEST), step / 4)
-        if np.max(np.abs(step)) < SMALL:
-            break
-    return reached
+    if not np.any(moving):
+        return q
+
+    def rows(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        found, by_q = model.over(model.observed_by_angles, g, own, places[which])
+        there = present[which]
+        return np.where(there, found[:, :, 0] - problem.layout.target[which], 0.0), np.where(
+            there[:, :, None], by_q, 0.0)
+
+    return nearest(rows, q, steps=STEPS, longest=FARTHEST, still=SMALL, ease=moving.astype(float)).x
 
 
 def explained_by_unsensed(by_q: Array, moving: NDArray[np.bool_], rows: Array) -> Array:
