@@ -27,7 +27,8 @@ PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
          "WhatNext": ("hydroopt.report.what_next", "render"),
          "SessionComparison": ("hydroopt.report.sessions", "render_comparison"),
          "Payload": ("hydroopt.report.sessions", "render_payload"),
-         "Weighing": ("hydroopt.report.weighing", "render")}
+         "Weighing": ("hydroopt.report.weighing", "render"),
+         "Comparison": ("hydroopt.report.closed_loop", "render")}
 """Module and name of what writes the page of each answer."""
 VIEW = "view.html"
 TALL = 900
@@ -86,15 +87,22 @@ def view(shown: Any) -> View:
         shown = load(shown) if Path(shown).is_dir() else load_machine(shown)
     if isinstance(shown, Answer) and shown.directory is not None:
         return _of_machine(shown.machine, shown)
-    if isinstance(shown, Answer):
-        for kind in type(shown).__mro__:
-            if place := PAGES.get(kind.__name__):
-                return View(getattr(import_module(place[0]), place[1])(shown), shown.machine_name)
+    if isinstance(shown, Answer) and (page := page_of(shown)) is not None:
+        return View(page, shown.machine_name)
     machine = getattr(shown, "machine", shown)
     if type(machine).__name__ != "Machine":
         raise ProblemError(f"a {type(shown).__name__} has no page", where="page",
                            remedy="give a Machine, its name or file, an answer, or the folder of one")
     return _of_machine(machine)
+
+
+def page_of(answer: Answer) -> str | None:
+    """The page of an answer that was just computed; None of a job without a page of its own."""
+    for kind in type(answer).__mro__:
+        if place := PAGES.get(kind.__name__):
+            page: str = getattr(import_module(place[0]), place[1])(answer)
+            return page
+    return None
 
 
 def _of_machine(machine: Machine, answer: Answer | None = None) -> View:

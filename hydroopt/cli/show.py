@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hydroopt.cli import machine_summary as summary
-from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
+from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo, print_table
 from hydroopt.errors import visible
 
@@ -21,8 +21,9 @@ UNKNOWN = 0.25
 """Standard deviation of a joint's position, as a part of its range, beyond which it is not determined."""
 
 
+@command("parameter_set", "as_json")
 def show(
-    machine: MachineName,
+    run: Run,
     hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
         "Show frequency, damping and gain of every joint on its oil over the workspace."))] = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
@@ -34,8 +35,6 @@ def show(
         "Of a robot file, show where the frame of each link is in the frame that the robot file has of it."))] = False,
     everything: Annotated[bool, typer.Option("--all", help=(
         "Show every channel and parameter, and what each stage of the calibration identifies."))] = False,
-    parameter_set: ParameterSetName = None,
-    as_json: AsJson = False,
 ) -> None:
     """Show a machine on one page: joints, cylinders and their geometry, sensors, what motion identifies.
 
@@ -46,20 +45,19 @@ def show(
 
     from hydroopt.cli.machine_facts import machine_facts
     from hydroopt.logs.log_files import read_log
-    from hydroopt.machine.machine_file import load_machine
     from hydroopt.simulation.reference_motion import reference_motion
 
     if frames:
-        _frames(machine, as_json=as_json)
+        _frames(run)
         return
-    described = load_machine(machine, parameter_set=parameter_set)
+    described = run.machine
     if hydraulics:
-        _hydraulics(described, output, as_json=as_json)
+        _hydraulics(run, output)
         return
     facts = machine_facts(described, None if motion is None else reference_motion(described, read_log(motion)))
     if output is not None:
         _page(described, facts, output)
-    if as_json:
+    if run.as_json:
         echo(json.dumps(facts, indent=1))
         return
     console = Console()
@@ -78,16 +76,16 @@ def show(
         echo(f"{output / 'machine.html'}")
 
 
-def _frames(machine: str, *, as_json: bool) -> None:
+def _frames(run: Run) -> None:
     from hydroopt.errors import ProblemError
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES
     from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
 
-    if Path(machine).suffix not in ROBOT_SUFFIXES:
-        raise ProblemError("its frames are those of no robot file", where=machine,
+    if Path(run.named).suffix not in ROBOT_SUFFIXES:
+        raise ProblemError("its frames are those of no robot file", where=run.named,
                            remedy=f"name the {', '.join(ROBOT_SUFFIXES[:3])} file that it was converted from")
-    rows = read_robot(machine).frames
-    if as_json:
+    rows = read_robot(run.named).frames
+    if run.as_json:
         echo(json.dumps(rows, indent=1))
     else:
         print_table(FRAMES, rows)
@@ -164,7 +162,7 @@ def _ratios(linkage: dict[str, Any]) -> str:
                      + (one["unit"] != "1") * f" {one['unit']}" for one in linkage["ratios"])
 
 
-def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
+def _hydraulics(run: Run, output: Path | None) -> None:
     from hydroopt.files import write_files
     from hydroopt.model.model import recent_model
     from hydroopt.model.plant import Plant
@@ -172,14 +170,14 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
     from hydroopt.report import hydraulics as workspace
     from hydroopt.results.tables import csv_text as csv
 
-    model = recent_model(machine)
+    model = recent_model(run.machine)
     plant = Plant(model)
-    with progress(f"linearising {machine.name}", as_json):
+    with run.progress(f"linearising {run.machine.name}"):
         found = sweeps(plant, model.parameters.nominal, plant.parameters.nominal)
         rows = workspace.rows(plant, found)
         if output is not None:
             write_files(output, {"hydraulics.html": workspace.render(plant, found), "hydraulics.csv": csv(rows)})
-    if as_json:
+    if run.as_json:
         echo(json.dumps(rows, indent=1))
         return
     print_table("Joints on their oil, each moving at a tenth of its greatest speed", [_mode_row(row) for row in rows])

@@ -10,24 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli import Command, Group, limits
-from hydroopt.cli.options import (
-    AsJson,
-    Directory,
-    MachineName,
-    MapFile,
-    MotionFile,
-    ParameterSetName,
-    Processes,
-    Quiet,
-    Rate,
-    Seed,
-    TrainingLogs,
-    Treat,
-    progress,
-    reading,
-    refuse_given,
-)
+from hydroopt.cli import Group
+from hydroopt.cli.command import Command, refuse
+from hydroopt.cli.options import MotionFile, Processes, Rate, TrainingLogs, refuse_given
+from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError, StoppedError
 
@@ -40,6 +26,7 @@ if TYPE_CHECKING:
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
     "Duration of the motion [s]; 33.28 if not given."))]
+Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
     "certificates of Dask's configuration.")]
@@ -58,24 +45,19 @@ def study() -> None:
 
 
 @app.command(cls=Command)
+@command(*ANSWER, "map_file", "parameter_set", "seed")
 def montecarlo(
-    machine: MachineName,
-    output: Directory,
+    run: Run,
     cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
     vary: Annotated[list[str] | None, typer.Option(help=(
         "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
         "of random motions; several make a grid."))] = None,
-    seed: Seed = 0,
     method: MethodName = "sdp",
     motion: MotionFile = None,
-    map_file: MapFile = None,
     duration: Duration = None,
     rate: Rate = None,
     processes: Processes = None,
     scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
     grid = _grid(vary or ())
@@ -83,7 +65,7 @@ def montecarlo(
         refuse_given({"--duration": duration, "--rate": rate}, "a given motion has its own duration and rate",
                      "leave it out, or --motion")
     else:
-        refuse_given({"--map": map_file}, "there is no log whose columns it could map",
+        refuse_given({"--map": run.map_file}, "there is no log whose columns it could map",
                      "leave it out, or give --motion")
 
     def prepare(described: Machine) -> tuple[Study, Summary]:
@@ -95,30 +77,24 @@ def montecarlo(
         path: Trajectory | None = None
         sha256 = ""
         if motion is not None:
-            log = read_log(motion, mapping=map_file)
+            log = read_log(motion, mapping=run.map_file)
             path, sha256 = reference_motion(described, log), log.sha256
-        return study.montecarlo(described, cells=cells, seed=seed, method=method_of(method), motion=path,
+        return study.montecarlo(described, cells=cells, seed=run.seed, method=method_of(method), motion=path,
                                 motion_sha256=sha256, vary=grid, rate=rate,
                                 duration=study.DURATION if duration is None else duration), study.summary
 
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
+    _run(run, prepare, processes, scheduler)
 
 
 @app.command(cls=Command)
+@command(*ANSWER, "map_file", "parameter_set", "seed", "treat")
 def bootstrap(
-    machine: MachineName,
+    run: Run,
     logs: TrainingLogs,
-    output: Directory,
-    cells: Annotated[int, typer.Option(help="Number of cells.", min=1)] = 100,
-    seed: Seed = 0,
+    cells: Cells = 100,
     method: MethodName = "sdp",
-    map_file: MapFile = None,
-    treat: Treat = None,
     processes: Processes = None,
     scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
     def prepare(described: Machine) -> tuple[Study, Summary]:
@@ -126,39 +102,38 @@ def bootstrap(
         from hydroopt.logs.log_files import read_log
         from hydroopt.study import bootstrap as study
 
-        read = reading(read_log, described, map_file, treat)(logs)
-        return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
+        read = run.read(read_log, logs)
+        return study.bootstrap(described, read, cells=cells, seed=run.seed, method=method_of(method)), study.summary
 
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
+    _run(run, prepare, processes, scheduler)
 
 
 Summary = Callable[["Study", "Table"], dict[str, Any]]
 """What a kind of study makes of its table."""
 
 
-def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], tuple[Study, Summary]], output: Path,
-         processes: int | None, scheduler: str | None, *, quiet: bool, as_json: bool) -> None:
+def _run(run: Run, prepare: Callable[[Machine], tuple[Study, Summary]], processes: int | None,
+         scheduler: str | None) -> None:
     """Prepare a study, run the cells that are missing, and write the report."""
-    from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import study as report
-    from hydroopt.study.run import run
+    from hydroopt.study.run import run as run_cells
 
     if scheduler is not None:
         refuse_given({"--processes": processes}, "the scheduler has its own workers", "leave it out, or --scheduler")
-    described = load_machine(machine, parameter_set=parameter_set)
-    with progress(f"preparing {described.name}", quiet) as say:
-        prepared, summary = prepare(described)
+    output = run.output
+    with run.progress(f"preparing {run.machine.name}") as say:
+        prepared, summary = prepare(run.machine)
         try:
-            table = run(prepared, output, scheduler=scheduler, workers=processes or os.cpu_count() or 1, say=say)
+            table = run_cells(prepared, output, scheduler=scheduler, workers=processes or os.cpu_count() or 1, say=say)
         except KeyboardInterrupt:
             done = len(list((output / "cells").glob("*.json")))
             raise StoppedError(f"interrupted after {done} of {len(prepared.cells)} cells, which are kept",
                                where=str(output), remedy="run the same command again to resume") from None
         say("writing the report")
         content = report.save(prepared, table, summary(prepared, table), output)
-    if as_json:
+    if run.as_json:
         echo(json.dumps(content, indent=1))
-    elif not quiet:
+    elif not run.quiet:
         _print(content, output)
 
 
@@ -179,7 +154,7 @@ def _grid(stated: Sequence[str]) -> dict[str, list[float]]:
             raise ProblemError(f"'{text}' is not NAME=VALUE,VALUE,... with numbers and a name of its own",
                                where="--vary", remedy="write e.g. --vary accuracy=0.5,1,2")
         for number in numbers:
-            limits.refuse(name, number, f"--vary {name}")
+            refuse(name, number, f"--vary {name}")
         grid[name] = numbers
     return grid
 

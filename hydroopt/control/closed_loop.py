@@ -8,12 +8,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.control.linear_plant import Reading
 from hydroopt.control.reference import Demands, offset
-from hydroopt.control.sampled_plant import Reading
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
-from hydroopt.kernels.one_sample import OneSample
-from hydroopt.logs.sensors import quantised
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -109,7 +108,7 @@ class Sensors:
             read[places] += accuracy * (2 * self.rng.random(len(places)) - 1)
             if len(others):
                 read[others] += std * self.rng.standard_normal(len(others))
-            read[stepped] = quantised(read[stepped], size)
+            read[stepped] = np.round(read[stepped] / size) * size
         self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
 

@@ -14,8 +14,8 @@ from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains, linear_feedback
-from hydroopt.control.loop_margins import STANDING, frequencies, response, responses
-from hydroopt.control.sampled_plant import Point
+from hydroopt.control.linear_plant import Point
+from hydroopt.control.loops import STANDING, frequencies, response, responses
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.progress import Progress, silent

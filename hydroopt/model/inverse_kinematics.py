@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.model.model import Model, model_of

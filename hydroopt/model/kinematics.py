@@ -8,9 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw, skew
 
 UP = ca.SX(ca.DM([0, 0, 1]))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.native import Runner
-from hydroopt.kernels.simplified import simplified
+from hydroopt.kernels.virtual_machine import simplified
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model import lagrange
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates, imu_readings

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.imus import ACCELEROMETER, INCLINATION, Imu
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.machine.targets import TIP
+from hydroopt.machine.sensors import ACCELEROMETER, INCLINATION, Imu
+from hydroopt.machine.survey import TIP
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 from hydroopt.spatial.rotation_vectors import rotation_of, vector_of
 

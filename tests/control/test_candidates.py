@@ -12,12 +12,9 @@ from numpy.testing import assert_allclose
 from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
-from hydroopt.control.comparison import Comparison, compare
-from hydroopt.control.diagnostics import margin_diagnostics
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant, reduced, truth
-from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
+from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, compare, margin_diagnostics
 from hydroopt.control.reference import Reference
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting, reduced, truth
 from hydroopt.model.plant import Plant
 from hydroopt.results.verdict import Action
 from hydroopt.simulation.simulate import Trajectory, forces
@@ -217,10 +214,7 @@ def test_what_a_valve_takes_from_a_margin_is_what_it_takes_from_the_machine(exac
     assert one.lost > 0.05
 
 
-def test_loops_are_drawn_in_notebooks(exact_feedforward: Comparison) -> None:
-    figure = exact_feedforward.plot.loops()
-    assert [ax.get_title("left") for ax in figure.axes] == ["gain [dB]", "phase [deg]", "Nyquist",
-                                                            "step of the reference", "poles and zeros"]
+def test_a_joint_follows_a_step_of_its_reference(exact_feedforward: Comparison) -> None:
     t, y = exact_feedforward.winner.loops.steps(30.0)
     assert y[-1, 0] == pytest.approx(1.0, abs=0.03)
     assert t[-1] == pytest.approx(30.0)
@@ -228,7 +222,7 @@ def test_loops_are_drawn_in_notebooks(exact_feedforward: Comparison) -> None:
 
 def test_small_margins_ask_for_the_valves_and_for_more_robust_loops(exact_feedforward: Comparison) -> None:
     assert [each.action for each in exact_feedforward.next_steps] == [Action.USE]
-    outcomes = tuple(replace(each, margins=tuple(one._replace(phase=0.5) for one in each.margins))
+    outcomes = tuple(replace(each, margins=tuple(one._replace(phase=0.4) for one in each.margins))
                      for each in exact_feedforward.outcomes)
     found = replace(exact_feedforward, outcomes=outcomes)
     texts = [each.text for each in found.next_steps]

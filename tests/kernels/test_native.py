@@ -21,10 +21,10 @@ import pytest
 
 from hydroopt import cache
 from hydroopt.kernels import compiler as system
-from hydroopt.kernels import native, shared_library
+from hydroopt.kernels import native
+from hydroopt.kernels.compiler import _kept
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, source
-from hydroopt.kernels.shared_library import _kept
 from studies.first_contact import compilers
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")
@@ -257,7 +257,7 @@ def test_other_systems_as_far_as_they_can_be_faked(
     monkeypatch.setenv("CC", str(command))
     monkeypatch.setattr(system, "FLAGS", system.flags(named, processor))
     if named == "Windows":  # processes without groups, and no shell to end them
-        monkeypatch.setattr(system, "os", SimpleNamespace(name="nt", environ=os.environ, path=os.path))
+        monkeypatch.setattr(system, "os", SimpleNamespace(**{**vars(os), "name": "nt"}))
     assert evaluated() == RIGHT
     assert len(compiled) == 1
     options = told.read_text().split()
@@ -334,6 +334,6 @@ def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(native, "LONG", 100)
     monkeypatch.setattr(native, "PIECE", 5)
     assert "passed[1]" in source(program(made))
-    monkeypatch.setattr(shared_library.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
+    monkeypatch.setattr(system.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
     (pieces,) = Runner().over(made, at)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-14)

@@ -19,8 +19,7 @@ from scipy.optimize import minimize_scalar
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
-from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
-from hydroopt.estimation.hydraulic.volume_balance import Misclosure, VolumeBalance
+from hydroopt.estimation.hydraulic.volume_balance import QUANTITIES, Misclosure, Readings, VolumeBalance
 from hydroopt.estimation.inference.gauss_newton import Step, bounded_step, minimise
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.parameters.parameter_set import ParameterSet

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
 from hydroopt.estimation.hydraulic.adjustment import Balanced, nonlinear_program
-from hydroopt.estimation.hydraulic.readings import MotionReadings, Readings, pieces
-from hydroopt.estimation.hydraulic.volume_balance import VolumeBalance
+from hydroopt.estimation.hydraulic.volume_balance import MotionReadings, Readings, VolumeBalance, pieces
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant

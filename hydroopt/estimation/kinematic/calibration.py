@@ -19,6 +19,7 @@ from hydroopt.estimation.kinematic.accuracy import (
     workspace_accuracy,
 )
 from hydroopt.estimation.kinematic.compliance_choice import ComplianceChoice
+from hydroopt.estimation.kinematic.initial_guesses import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.optimum import Optimum, optimum, random_start, solvable, with_farthest_pose
 from hydroopt.estimation.kinematic.pose_checks import (
@@ -38,18 +39,16 @@ from hydroopt.estimation.kinematic.residuals import (
 )
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution, uniqueness
 from hydroopt.estimation.kinematic.suspects import find_suspects
-from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
-from hydroopt.results.tables import csv_text, number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
 from hydroopt.spatial.inertia import Array
 

@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.gauss_newton import Step, bounded_step, minimise
+from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE
 from hydroopt.estimation.inference.program import NonlinearProgram
-from hydroopt.estimation.kinematic.observability import Linearised, linearise
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
+from hydroopt.estimation.kinematic.observability import ROUNDING, Linearised, linearise
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, robust_loss
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.spatial.inertia import Array
 
-CONVERGED, STEPS = 1e-6, 500
-"""Length of a step, in standard deviations of what the rows determine, that is the last one; greatest number of steps:
-along a combination that the poses hardly tell they are short."""
+CONVERGED, NEAR, STEPS = 1e-6, 1e-3, 500
+"""Length of a step, in standard deviations of what the rows determine, that is the last one, and of one that may stay
+where rounding keeps steps from it; greatest number of steps: along a combination that poses hardly tell they are short.
+"""
 ANGLE_STEP = 0.01
 """Scale [rad, m] of the angles that move unsensed."""
 CORRECTIONS, SETTLED = 10, 1e-5
 """Steps of the angles alone at the parameters of a place, until they move by less than this part of their standard
 deviations, or of `ANGLE_STEP`."""
-DETERMINED = 1e-6
-"""Singular value of the rows with columns of unit length, relative to the largest, below which a direction stays."""
 
 
 def maximum_likelihood(problem: PoseEquations, start: Array, angles: Array) -> tuple[Array, Array]:
@@ -52,7 +52,7 @@ def maximum_likelihood(problem: PoseEquations, start: Array, angles: Array) -> t
     inside = np.where(problem.free, np.clip(start, problem.parameters.lower, problem.parameters.upper), problem.start)
     own = np.where(problem.layout.moving, angles, problem.layout.reading)
     found = minimise(_Place.at(problem, inside, own), tolerance=CONVERGED, steps=STEPS)
-    if not found.converged:
+    if not found.converged and found.last.length > NEAR:
         raise SolverError("the steps towards the most probable geometry do not converge",
                           where=f"calibration of {problem.model.machine.name}",
                           remedy="correct readings and numbers of the machine file that are far off")
@@ -95,8 +95,10 @@ class _Place:
         stacked = np.vstack([
             np.concatenate([rows.jacobian, rows.residual[:, :, None]], axis=2).reshape(-1, len(free) + 1)
             * np.repeat(root, rows.residual.shape[1], axis=0), np.column_stack([rows.shared, rows.shared_residual])])
+        size = np.linalg.norm(stacked[:, :-1] * parameters.scale, axis=0)
+        stacked[:, :-1][:, size < ROUNDING * np.max(size, initial=0.0)] = 0.0
         lower, upper = (np.where(free, bound - self.theta, 0.0) for bound in (parameters.lower, parameters.upper))
-        return bounded_step(stacked, damping, lower, upper, truncation=DETERMINED)
+        return bounded_step(stacked, damping, lower, upper, truncation=float(np.sqrt(INFORMATION_TOLERANCE)))
 
     def _moved(self, change: Array) -> _Place:
         return _Place.at(self.problem, self.theta + change, self.rows.followed(self.problem, self.q, change))

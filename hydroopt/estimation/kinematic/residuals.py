@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.kinematic.initial_guesses import explained_by_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.unsensed_angles import explained_by_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.results.fit import Fit
 from hydroopt.results.tables import number

@@ -9,14 +9,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from hydroopt.estimation.kinematic.initial_guesses import closed_angles, guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 from tests.fixtures.surveyed import measured, surveyed, truth
 
 
@@ -25,7 +26,7 @@ def calibrator(priors: bool = True, wild: float = 0.0) -> CalibrationProblem:
     machine = load_machine("cat215b")
     model = KinematicModel(machine)
     nominal, at = model.parameters.nominal, machine.fixtures[0].position
-    q = np.concatenate([postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
+    q = np.concatenate([closed_postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
                         for k, stage in enumerate(machine.stages)])
     read = postures.record(model, q, [stage.name for stage in machine.stages for _ in range(30)], ["ball"] * len(q),
                            geometry=nominal, seed=1)
