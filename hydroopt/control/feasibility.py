@@ -10,7 +10,7 @@ from hydroopt.control.loops import Margin
 from hydroopt.control.reference import Demand
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
-from hydroopt.model.flow_demand import TOLERANCE, demanded_flow
+from hydroopt.model.hydraulics import TOLERANCE, demanded_flow
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array

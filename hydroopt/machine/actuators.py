@@ -7,9 +7,10 @@ What an actuator *is* to the rest of the package, its chambers and how its force
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from collections.abc import Iterator
+from typing import Any, Literal
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import Field, StrictBool
 
 from hydroopt.machine.links import Attachment
 from hydroopt.machine.quantity import (
@@ -21,10 +22,10 @@ from hydroopt.machine.quantity import (
     Inertia,
     Length,
     LinearStiffness,
-    LinearViscosity,
     Name,
     Noun,
     Number,
+    PinTorque,
     Pressure,
     Speed,
     Torque,
@@ -37,47 +38,49 @@ SHARED_PRESSURE = 1e7
 """Pressure difference [Pa] by which hydraulic actuators compare with drives where they share a load."""
 
 
-class CylinderFriction(Noun):
-    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled."""
+class TorqueFriction(Noun):
+    """Friction of an actuator on the joint's side, and the offset of its torque reading (Eq. 4.53).
 
-    offset: Force | None = None
-    """Constant error of the force reading."""
-    coulomb: Force | None = Field(None, ge=0)
-    """Dry friction; with `coulomb_reverse` only while extending."""
-    coulomb_reverse: Force | None = Field(None, ge=0)
-    """Dry friction while retracting."""
-    viscous: LinearViscosity | None = Field(None, ge=0)
-    """Friction per speed; with `viscous_reverse` only while extending."""
-    viscous_reverse: LinearViscosity | None = Field(None, ge=0)
-    """Friction per speed while retracting."""
-    stribeck: Force | None = Field(None, ge=0)
+    Terms that are not stated are not modelled. Where the joint slides they are forces.
+    """
+
+    offset: Torque | None = None
+    """Constant error of the torque reading."""
+    coulomb: Torque | None = Field(None, ge=0)
+    """Dry friction; with `coulomb_reverse` only while turning positively, or extending."""
+    coulomb_reverse: Torque | None = Field(None, ge=0)
+    """Dry friction while turning negatively, or retracting."""
+    viscous: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed; with `viscous_reverse` only while turning positively, or extending."""
+    viscous_reverse: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed while turning negatively, or retracting."""
+    stribeck: Torque | None = Field(None, ge=0)
     """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
-    stribeck_speed: Speed | None = Field(None, gt=0)
+    stribeck_speed: AngularSpeed | None = Field(None, gt=0)
     """Speed well above which that excess vanishes; needed with `stribeck`."""
+    dead_zone: AngularSpeed | None = Field(None, gt=0)
+    """Speed below which there is no dry friction: neither Coulomb's nor Stribeck's nor the seals'."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if (self.stribeck is None) != (self.stribeck_speed is None):
+            missing = "stribeck" if self.stribeck is None else "stribeck_speed"
+            yield ImpossibleError("the Stribeck effect is incomplete", f"state '{missing}' as well, or neither",
+                                  missing)
+        dry = (self.coulomb, self.coulomb_reverse, self.stribeck, getattr(self, "seal", None))
+        if self.dead_zone is not None and all(term is None for term in dry):
+            yield ImpossibleError("there is no dry friction that a dead zone could take away",
+                                  "state a dry friction such as 'coulomb', or remove it", "dead_zone")
+
+
+class CylinderFriction(TorqueFriction):
+    """Friction of a cylinder and the offset of its force reading (Eq. 4.54): forces, and torques in its pins."""
+
     seal: Area | None = Field(None, ge=0)
     """Friction per pressure in both chambers together (Bonchis et al. 1999)."""
-    dead_zone: Speed | None = Field(None, gt=0)
-    """Speed below which there is no dry friction: neither Coulomb's nor Stribeck's nor the seals'."""
-    barrel_pin: Torque | None = Field(None, ge=0)
+    barrel_pin: PinTorque | None = Field(None, ge=0)
     """Dry friction in the barrel's pin."""
-    rod_pin: Torque | None = Field(None, ge=0)
+    rod_pin: PinTorque | None = Field(None, ge=0)
     """Dry friction in the rod's pin."""
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        _refuse_half_friction(self)
-        return self
-
-
-def _refuse_half_friction(friction: CylinderFriction | TorqueFriction) -> None:
-    if (friction.stribeck is None) != (friction.stribeck_speed is None):
-        missing = "stribeck" if friction.stribeck is None else "stribeck_speed"
-        raise ImpossibleError("the Stribeck effect is incomplete", f"state '{missing}' as well, or neither",
-                              missing)
-    dry = [friction.coulomb, friction.coulomb_reverse, friction.stribeck, getattr(friction, "seal", None)]
-    if friction.dead_zone is not None and all(term is None for term in dry):
-        raise ImpossibleError("there is no dry friction that a dead zone could take away",
-                              "state a dry friction such as 'coulomb', or remove it", "dead_zone")
 
 
 class Cylinder(Noun):
@@ -118,21 +121,19 @@ class Cylinder(Noun):
     circuit: Circuit | None = None
     """Valve, hoses and leaks."""
 
-    @model_validator(mode="after")
-    def _areas(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         by_area = self.head_area is not None and self.rod_area is not None
         by_diameter = self.bore is not None and self.rod_diameter is not None
         stated = sum(v is not None for v in (self.head_area, self.rod_area, self.bore, self.rod_diameter))
         if stated != 2 or by_area == by_diameter:
-            raise ImpossibleError("piston areas are not stated in one way",
+            yield ImpossibleError("piston areas are not stated in one way",
                                   "give 'head_area' and 'rod_area', or 'bore' and 'rod_diameter'")
         if self.areas[1] >= self.areas[0] or self.areas[1] <= 0:
-            raise ImpossibleError("the rod side's area must lie between zero and the head side's",
+            yield ImpossibleError("the rod side's area must lie between zero and the head side's",
                                   "exchange or correct the two")
         if self.friction.seal is not None and self.friction.seal >= self.areas[1]:
-            raise ImpossibleError("the seals hold the piston against any pressure: their friction grows as fast as "
+            yield ImpossibleError("the seals hold the piston against any pressure: their friction grows as fast as "
                                   "the rod side's force", f"state less than {self.areas[1]:.4g} m^2", "friction.seal")
-        return self
 
     @property
     def areas(self) -> tuple[float, float]:
@@ -163,32 +164,6 @@ class Cylinder(Noun):
     def effort_symbol(self) -> Literal["f"]:
         """What the names of parameters of its force begin with, after the dot."""
         return "f"
-
-
-class TorqueFriction(Noun):
-    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53), on the joint's side."""
-
-    offset: Torque | None = None
-    """Constant error of the torque reading."""
-    coulomb: Torque | None = Field(None, ge=0)
-    """Dry friction; with `coulomb_reverse` only while turning positively."""
-    coulomb_reverse: Torque | None = Field(None, ge=0)
-    """Dry friction while turning negatively."""
-    viscous: AngularViscosity | None = Field(None, ge=0)
-    """Friction per speed; with `viscous_reverse` only while turning positively."""
-    viscous_reverse: AngularViscosity | None = Field(None, ge=0)
-    """Friction per speed while turning negatively."""
-    stribeck: Torque | None = Field(None, ge=0)
-    """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
-    stribeck_speed: AngularSpeed | None = Field(None, gt=0)
-    """Speed well above which that excess vanishes; needed with `stribeck`."""
-    dead_zone: AngularSpeed | None = Field(None, gt=0)
-    """Speed below which there is no dry friction."""
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        _refuse_half_friction(self)
-        return self
 
 
 class Motor(Noun):
@@ -262,11 +237,9 @@ class Drive(Noun):
     ground: StrictBool = False
     """Whether it stands for the ground, by which a base on a slope or in motion moves; not measured."""
 
-    @model_validator(mode="after")
-    def _of_the_ground(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.ground and self.measured:
-            raise ImpossibleError("the ground's torque or force is not measured", "state measured = false", "measured")
-        return self
+            yield ImpossibleError("the ground's torque or force is not measured", "state measured = false", "measured")
 
     @property
     def capacity(self) -> float:
@@ -322,14 +295,11 @@ class GasCylinder(Noun):
         """Volume of the gas [m³] at pin distances [m]: numbers or symbols."""
         return self.volume + (1 if self.acts == "push" else -1) * self.area * (length - self.reference_length)
 
-    @model_validator(mode="after")
-    def _no_bodies(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
             if attachment.body is not None:
-                raise ImpossibleError("the ends of a gas cylinder carry no body yet",
+                yield ImpossibleError("the ends of a gas cylinder carry no body yet",
                                       "remove it or add its mass to the link it is pinned to", f"{end}.body")
-        return self
-
 
 class Spring(Noun):
     """A linear spring between two links, such as a counterbalance; its ends are called as those of cylinders.
@@ -351,14 +321,11 @@ class Spring(Noun):
     preload: Force | None = None
     """Force at the reference length; not modelled if not stated."""
 
-    @model_validator(mode="after")
-    def _no_bodies(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
             if attachment.body is not None:
-                raise ImpossibleError("the ends of a spring carry no body",
+                yield ImpossibleError("the ends of a spring carry no body",
                                       "remove it or add its mass to the link it is pinned to", f"{end}.body")
-        return self
-
 
 Pinned = Cylinder | GasCylinder | Spring
 """A part between two pins."""

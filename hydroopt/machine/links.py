@@ -6,8 +6,8 @@ A number may be given as a string with its unit wherever a part is built: ``Join
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Literal, Self
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, StrictBool, ValidationInfo, field_validator, model_validator
@@ -31,7 +31,6 @@ from hydroopt.machine.quantity import (
     Six,
     Stiffness,
     Torque,
-    keyed,
 )
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -83,30 +82,24 @@ class Body(Noun):
     def _planes(cls, stated: Any) -> Any:
         return (stated,) if isinstance(stated, str) else stated
 
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if (self.com is None) != (self.inertia_com is None) or (self.mc is None) != (self.inertia is None):
-            raise ImpossibleError("a body is stated by 'com' with 'inertia_com' or by 'mc' with 'inertia'",
+            yield ImpossibleError("a body is stated by 'com' with 'inertia_com' or by 'mc' with 'inertia'",
                                   "give exactly one of these pairs")
         if (self.com is None) == (self.mc is None):
-            raise ImpossibleError("a body needs one of 'com' with 'inertia_com' and 'mc' with 'inertia'",
+            yield ImpossibleError("a body needs one of 'com' with 'inertia_com' and 'mc' with 'inertia'",
                                   "give exactly one of these pairs")
-        return self
-
-    @model_validator(mode="after")
-    def _as_stated(self) -> Self:
         phi = self.phi
         if self.shape and self.m > 0 and self.shape.depth(phi[1:4] / self.m) < -1e-6:
-            raise ImpossibleError("the centre of mass lies outside the shape", "correct one of the two", "shape")
+            yield ImpossibleError("the centre of mass lies outside the shape", "correct one of the two", "shape")
         length = math.sqrt(max(abs(phi[[4, 7, 9]].sum()) / max(self.m, 1e-9), 1e-12))  # as of a radius of gyration
         size = self.m * np.array([length] * 3 + [length**2] * 6)
         for plane in self.symmetric:
             odd = list(inertia.ODD_MOMENTS[plane])
             if np.any(np.abs(phi[odd]) > 1e-6 * size[np.array(odd) - 1]):
                 names = ", ".join(inertia.NAMES[k] for k in odd)
-                raise ImpossibleError(f"the body's numbers are not symmetric about {plane}: of {names} one is not zero",
+                yield ImpossibleError(f"the body's numbers are not symmetric about {plane}: of {names} one is not zero",
                                       "correct them or leave the symmetry out", "symmetric")
-        return self
 
     @property
     def phi(self) -> Array:
@@ -188,33 +181,34 @@ class Joint(Noun):
             if data.get(key) is not None:
                 if data["type"] == "locked":
                     raise ImpossibleError("a locked joint has a limit", "remove it or let the joint move", key)
-                keyed(Quantity(si), data[key], info, key)
+                try:
+                    Quantity(si)(data[key], info)
+                except ImpossibleError as error:
+                    raise ImpossibleError(error.what, error.remedy, key) from None
         return data
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.passive and not self.independent:
-            raise ImpossibleError(f"a {'dependent' if self.dependent else 'locked'} joint cannot be passive",
+            yield ImpossibleError(f"a {'dependent' if self.dependent else 'locked'} joint cannot be passive",
                                   "remove 'passive', or let the joint move by itself", "passive")
         if self.dependent:
             if self.type == "locked":
-                raise ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
+                yield ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
             stroke = () if self.type == "prismatic" else ("lower", "upper")
             for key in (*stroke, "max_speed", "max_acceleration", "compliance"):
                 if getattr(self, key) is not None:
-                    raise ImpossibleError(f"a dependent joint states '{key}'",
+                    yield ImpossibleError(f"a dependent joint states '{key}'",
                                           "remove it: the joints that it follows have limits", key)
             if self.lower is None and self.upper is None:
-                return self
+                return
         if self.type == "locked":
-            return self
+            return
         if self.lower is None or self.upper is None:
-            raise ImpossibleError("a moving joint needs 'lower' and 'upper'", "state both limits")
-        if self.lower >= self.upper:
+            yield ImpossibleError("a moving joint needs 'lower' and 'upper'", "state both limits")
+        elif self.lower >= self.upper:
             factor, unit = (180 / math.pi, "deg") if self.type == "revolute" else (1.0, "m")
-            raise ImpossibleError(f"the lower limit, {factor * self.lower:.6g} {unit}, is not below the upper one, "
+            yield ImpossibleError(f"the lower limit, {factor * self.lower:.6g} {unit}, is not below the upper one, "
                                   f"{factor * self.upper:.6g} {unit}", "exchange or correct them")
-        return self
 
     @property
     def moving(self) -> bool:

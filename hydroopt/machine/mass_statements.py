@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Iterator
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Mass, Name, Noun, refuse_inverted
+from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Mass, Name, Noun
 from hydroopt.spatial.inertia import Array
 
 
 class Box(Noun):
-    """All points between two corners, with edges along the axes of the body's frame."""
+    """All points between two corners, with edges along the axes of the frame."""
 
     lower: Lengths
     """Corner (3,) with the smallest coordinates."""
     upper: Lengths
     """Corner (3,) with the largest coordinates."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        refuse_inverted("box", self.lower, self.upper)
-        return self
-
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                yield ImpossibleError(f"along {axis} the lower end, {low:.6g} m, is not below the upper one, "
+                                      f"{high:.6g} m", "exchange or correct them")
 
 class Ellipsoid(Noun):
     """All points of an ellipsoid with semi-axes along the axes of the body's frame."""
@@ -33,13 +33,10 @@ class Ellipsoid(Noun):
     semi_axes: Lengths
     """Semi-axes (3,)."""
 
-    @model_validator(mode="after")
-    def _extended(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if min(self.semi_axes) <= 0:
-            raise ImpossibleError("a semi-axis is not above zero", "state half of what the body extends along each "
+            yield ImpossibleError("a semi-axis is not above zero", "state half of what the body extends along each "
                                   "axis", "semi_axes")
-        return self
-
 
 class Tube(Noun):
     """All points of a cylinder about the x axis of the body's frame."""
@@ -51,13 +48,10 @@ class Tube(Noun):
     end: Length
     """Place of the other end along x."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not self.start < self.end:
-            raise ImpossibleError(f"the cylinder's start, {self.start:.6g} m, is not below its end, {self.end:.6g} m",
+            yield ImpossibleError(f"the cylinder's start, {self.start:.6g} m, is not below its end, {self.end:.6g} m",
                                   "exchange or correct them")
-        return self
-
 
 class Shape(Noun):
     """Where a body's mass is, in the frame of the body's numbers: exactly one of these."""
@@ -69,12 +63,10 @@ class Shape(Noun):
     cylinder: Tube | None = None
     """A cylinder along x."""
 
-    @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if (self.box, self.ellipsoid, self.cylinder).count(None) != 2:
-            raise ImpossibleError("a shape is one of a box, an ellipsoid and a cylinder",
+            yield ImpossibleError("a shape is one of a box, an ellipsoid and a cylinder",
                                   "give exactly one of 'box', 'ellipsoid' and 'cylinder'")
-        return self
 
     @property
     def faces(self) -> Array:
@@ -126,12 +118,10 @@ class Identical(Noun):
     friction: tuple[str, ...] = ()
     """Actuators of equal friction."""
 
-    @model_validator(mode="after")
-    def _several(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not (self.bodies or self.friction):
-            raise ImpossibleError("no identical parts are named", "name two or more bodies, or actuators under "
+            yield ImpossibleError("no identical parts are named", "name two or more bodies, or actuators under "
                                   "'friction'", "bodies")
         for key, owners in (("bodies", self.bodies), ("friction", self.friction)):
             if len(owners) == 1:
-                raise ImpossibleError(f"'{owners[0]}' alone is not like anything", "name two or more", key)
-        return self
+                yield ImpossibleError(f"'{owners[0]}' alone is not like anything", "name two or more", key)

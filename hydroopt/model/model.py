@@ -16,12 +16,12 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model import lagrange
-from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.recent import Recent
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph
+from hydroopt.model.sensor_readings import imu_readings
 from hydroopt.notebook_card import Card, Drawn
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
