@@ -30,6 +30,6 @@ def render(plan: WhatNext) -> str:
                [goal.readable(goal.std(step.after.knowledge.covariance)) for goal in goals])
               for step in plan.alternatives]
     return document(
-        "what_next.html", charts={"course": charts}, verdict=plan.verdict, diagnostics=plan.diagnostics, plan=plan,
+        "what_next.html", charts={"course": charts}, answer=plan, plan=plan,
         goals=[(goal.name, goal.readable(goal.target), goal.readable(std)) for goal, std in
                zip(goals, plan.stds[0].tolist(), strict=True)], steps=steps, others=others, sheet=plan.sheet())
