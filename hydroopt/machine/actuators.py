@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, StrictBool
 
@@ -90,6 +90,8 @@ class Cylinder(Noun):
     those of all jacks together, which move as one.
     """
 
+    effort_symbol: ClassVar = "f"
+    """What the names of parameters of its force begin with, after the dot."""
     name: Name
     """Name of the cylinder."""
     barrel: Attachment
@@ -160,15 +162,12 @@ class Cylinder(Noun):
         """Channels that the force is measured by, with the factor of each [N/Pa] (Eq. 4.33)."""
         return _by_pressures(self)
 
-    @property
-    def effort_symbol(self) -> Literal["f"]:
-        """What the names of parameters of its force begin with, after the dot."""
-        return "f"
-
 
 class Motor(Noun):
     """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61)."""
 
+    effort_symbol: ClassVar = "tau"
+    """What the names of parameters of its torque begin with, after the dot."""
     name: Name
     """Name of the motor."""
     joint: str
@@ -206,11 +205,6 @@ class Motor(Noun):
         """Channels that the torque is measured by, with the factor of each [N·m/Pa] (Eq. 4.61)."""
         return _by_pressures(self)
 
-    @property
-    def effort_symbol(self) -> Literal["tau"]:
-        """What the names of parameters of its torque begin with, after the dot."""
-        return "tau"
-
 
 def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
     (a, b), (first, second) = actuator.areas, actuator.chambers
@@ -220,6 +214,8 @@ def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
 class Drive(Noun):
     """A joint driven directly by a torque, as in an electric arm; torques are those on the joint's side."""
 
+    effort_symbol: ClassVar = "tau"
+    """What the names of parameters of its torque begin with, after the dot."""
     name: Name
     """Name of the drive."""
     joint: str
@@ -251,17 +247,29 @@ class Drive(Noun):
         """The channel that the torque is measured by, with its factor."""
         return {f"{self.joint}.tau": 1.0}
 
-    @property
-    def effort_symbol(self) -> Literal["tau"]:
-        """What the names of parameters of its torque begin with, after the dot."""
-        return "tau"
-
 
 Actuator = Cylinder | Motor | Drive
 """What moves joints by a force of its own."""
 
 
-class GasCylinder(Noun):
+class PassivePart(Noun):
+    """A part between two pins that nothing drives; its ends carry no body yet."""
+
+    name: Name
+    """Its name."""
+    barrel: Attachment
+    """Pin of the barrel, or one pin of a spring."""
+    rod: Attachment
+    """Pin of the rod, or the other pin."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
+            if attachment.body is not None:
+                yield ImpossibleError("the ends of gas cylinders and springs carry no body yet",
+                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
+
+
+class GasCylinder(PassivePart):
     """A passive cylinder on a gas volume (accumulator counterbalance) between two links.
 
     Pressure is `precharge` at `reference_length` and follows p·Vⁿ = const with the exponent n = `polytropic`; the
@@ -272,12 +280,6 @@ class GasCylinder(Noun):
     error of 1 bar in 163 there. The ends carry no body yet.
     """
 
-    name: Name
-    """Name of the gas cylinder."""
-    barrel: Attachment
-    """Pin of the barrel; it carries no body."""
-    rod: Attachment
-    """Pin of the rod; it carries no body."""
     acts: Literal["pull", "push"]
     """`pull`: the gas is compressed when it lengthens; `push`: when it shortens."""
     area: Area = Field(gt=0)
@@ -295,25 +297,14 @@ class GasCylinder(Noun):
         """Volume of the gas [m³] at pin distances [m]: numbers or symbols."""
         return self.volume + (1 if self.acts == "push" else -1) * self.area * (length - self.reference_length)
 
-    def _mistakes(self) -> Iterator[ImpossibleError]:
-        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
-            if attachment.body is not None:
-                yield ImpossibleError("the ends of a gas cylinder carry no body yet",
-                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
 
-class Spring(Noun):
+class Spring(PassivePart):
     """A linear spring between two links, such as a counterbalance; its ends are called as those of cylinders.
 
     It pulls its pins together with `preload` + `stiffness`·(length − `reference_length`), and pushes them apart where
     this is negative. The ends carry no body.
     """
 
-    name: Name
-    """Name of the spring."""
-    barrel: Attachment
-    """One pin."""
-    rod: Attachment
-    """The other pin."""
     stiffness: LinearStiffness = Field(ge=0)
     """Force per length."""
     reference_length: Length = Field(gt=0)
@@ -321,11 +312,6 @@ class Spring(Noun):
     preload: Force | None = None
     """Force at the reference length; not modelled if not stated."""
 
-    def _mistakes(self) -> Iterator[ImpossibleError]:
-        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
-            if attachment.body is not None:
-                yield ImpossibleError("the ends of a spring carry no body",
-                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
 
 Pinned = Cylinder | GasCylinder | Spring
 """A part between two pins."""

@@ -15,9 +15,8 @@ from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage
 from hydroopt.machine.environment import Footprint, Obstacle, Pump
 from hydroopt.machine.free_links import FreeLink
 from hydroopt.machine.linkages import Linkage
-from hydroopt.machine.links import Body, Joint, Link, Note
+from hydroopt.machine.links import Body, Box, Identical, Joint, Link, Note, TotalMass
 from hydroopt.machine.loops import Coupling, Loop
-from hydroopt.machine.mass_statements import Box, Identical, TotalMass
 from hydroopt.machine.oil_links import OilLink
 from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
@@ -304,11 +303,15 @@ def in_plain_words(mistakes: Sequence[Mapping[str, Any]], data: Mapping[str, Any
         key, here = str(first["loc"][-1])[:80], _keys_at(steps[:-1])
         like = get_close_matches(key, here, 1, 0.75)
         better = f"write '{like[0]}'" if like else f"use one of {', '.join(here)}"
-        known = any(key in noun.model_fields for noun in Noun.__subclasses__())
+        known = any(key in noun.model_fields for noun in _subclasses(Noun))
         return f"this key {'has no meaning here' if known else 'is unknown'}", place, f"{better}, or remove it"
     said = str(node if isinstance(node, bool | int | float | str) else first["input"])
     said = said.lower() if isinstance(node, bool) else said
     return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
+
+
+def _subclasses(noun: type[Noun]) -> list[type[Noun]]:
+    return [noun, *(each for below in noun.__subclasses__() for each in _subclasses(below))]
 
 
 def _keys_at(steps: Sequence[int | str]) -> list[str]:

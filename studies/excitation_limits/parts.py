@@ -16,7 +16,7 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.kernels import native
 from hydroopt.limits.limits import Limits
 from hydroopt.machine.environment import Obstacle, Pump
-from hydroopt.machine.mass_statements import Box
+from hydroopt.machine.links import Box
 from hydroopt.simulation import simulate as synthetic
 
 BASES = ("cat215b", "cat215b", "patu655_lift", "ur10")

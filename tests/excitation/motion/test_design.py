@@ -16,8 +16,8 @@ from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.environment import Pump
+from hydroopt.machine.links import Box
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.mass_statements import Box
 from hydroopt.simulation.simulate import random_trajectory
 
 BASES = (Fourier(6.0, 3, repeats=2, blend=1.5), Spline(8.0, 6))

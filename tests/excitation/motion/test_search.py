@@ -25,8 +25,8 @@ from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programm
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.environment import Obstacle, Pump
+from hydroopt.machine.links import Box
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.mass_statements import Box
 from hydroopt.results.answer import load
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import random_trajectory
