@@ -5,7 +5,7 @@ import pytest
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline, condition
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 SENSOR = Sensor(channels=("boom.q",), accuracy=np.deg2rad(0.1), resolution=2 * np.pi / 2**14)
 NOISE = SENSOR.std

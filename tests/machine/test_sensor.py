@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 
 def sensor(accuracy, resolution, distribution="uniform"):

@@ -30,8 +30,8 @@ from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model, model_of
 from hydroopt.simulation.simulate import Trajectory, simulate
 from hydroopt.spatial.inertia import Array
