@@ -229,12 +229,18 @@ class Basis:
     @cached_property
     def gram(self) -> Array:
         """Sums of B_i·B_j over the samples, in band storage."""
-        return _band(self.design)
+        product = self.design.T @ self.design
+        return np.array([np.pad(product.diagonal(-below), (0, below)) for below in range(_ORDER)])
 
-    @property
+    @cached_property
     def penalty(self) -> Array:
-        """∫ B'''_i B'''_j dx in band storage."""
-        return _band(windowed(*self.jerk, self.intervals + _DEGREE))
+        """∫ B'''_i B'''_j dx in band storage: of each knot interval the same."""
+        cell = self.jerk[0][: len(_POINTS)]
+        band = np.zeros((_ORDER, self.intervals + _DEGREE))
+        for j in range(_ORDER):
+            for below in range(_ORDER - j):
+                band[below, j : j + self.intervals] += cell[:, j] @ cell[:, j + below]
+        return band
 
     @cached_property
     def jerk(self) -> tuple[Array, NDArray[np.intp]]:
@@ -295,12 +301,6 @@ def windowed(values: Array, first: NDArray[Any], columns: int) -> csr_array:
     rows, width = values.shape
     at = np.add.outer(first, np.arange(width, dtype=first.dtype))
     return csr_array((values.ravel(), at.ravel(), np.arange(0, rows * width + 1, width)), shape=(rows, columns))
-
-
-def _band(rows: csr_array) -> Array:
-    """RᵀR in band storage, of rows in each of which six neighbours are not zero."""
-    product = rows.T @ rows
-    return np.array([np.pad(product.diagonal(-below), (0, below)) for below in range(_ORDER)])
 
 
 def wider(passes: int) -> float:
