@@ -36,17 +36,17 @@ def render_payload(load: Payload) -> str:
     """The page of a payload; it needs nothing else."""
     rows = [_row(one, _reach(load.quantities, one.unit)) for one in load.quantities]
     return _page("payload.html", load, "load", ("without the load", "with the load"), "payload.json and payload.csv",
-                 notes=load.notes, link=load.link, rank=load.rank, statistic=plain(load.statistic, 3),
+                 link=load.link, rank=load.rank, statistic=plain(load.statistic, 3),
                  freedom=plain(load.degrees_of_freedom, 3), p=p_value(load.p_value), phi=plain(load.split_half, 2),
                  p_repeat=p_value(load.p_value_repeat), rows=rows)
 
 
 def _page(template: str, answer: SessionAnswer, title: str, roles: Iterable[str], files: str, *,
-          notes: Sequence[str] = (), tints: tuple[Tint, ...] = (), **more: Any) -> str:
+          tints: tuple[Tint, ...] = (), **more: Any) -> str:
     """A page on sessions: what all such pages have, and what its template needs beside."""
     return document(
         template, answer=answer, scene=SceneView(answer.scene, tints=tints), machine=answer.machine,
-        title=title, contradictions=answer.contradictions, files=files, notes=notes,
+        title=title, contradictions=answer.contradictions, files=files,
         answers=[finding.text for finding in answer.findings],
         logs=[_session_row(role, each, answer.machine)
               for role, each in zip(roles, answer.sessions.values(), strict=True)], **more)
