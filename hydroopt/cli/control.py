@@ -58,8 +58,7 @@ def control(
     from hydroopt.codegen.parameter_source import Origin
     from hydroopt.control.comparison import FEEDFORWARD, compare
     from hydroopt.control.draws import draws
-    from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
-    from hydroopt.control.setting import Setting, rate_of
+    from hydroopt.control.setting import COMPLETE, ModelVariant, Setting, nominal_of, rate_of, reduced, truth
     from hydroopt.files import refuse_places
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled

@@ -53,7 +53,7 @@ def weigh(
 
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
-    from hydroopt.codegen.scale_code import scale_code
+    from hydroopt.codegen.folder import scale_code
     from hydroopt.logs.log_files import read_log
     from hydroopt.model.model import Model
     from hydroopt.units import to_si

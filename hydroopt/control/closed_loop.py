@@ -13,7 +13,6 @@ from hydroopt.control.reference import Demands, offset
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.kernels.virtual_machine import OneSample
-from hydroopt.logs.sensors import quantised
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -109,7 +108,7 @@ class Sensors:
             read[places] += accuracy * (2 * self.rng.random(len(places)) - 1)
             if len(others):
                 read[others] += std * self.rng.standard_normal(len(others))
-            read[stepped] = quantised(read[stepped], size)
+            read[stepped] = np.round(read[stepped] / size) * size
         self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
 

@@ -17,13 +17,11 @@ from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run, simulate, tip
 from hydroopt.control.draws import Draw, spread
-from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.linear_plant import Point, linearised, point, sampled
 from hydroopt.control.loops import Loops, Margin, disk_margins, frequencies, margins
 from hydroopt.control.lqg import Lqg, design, reading_noise
-from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
-from hydroopt.control.reference import Demands
-from hydroopt.control.setting import Setting
+from hydroopt.control.reference import Demands, refuse_flow, refuse_opening
+from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.errors import ProblemError
 from hydroopt.logs.table import encoded_columns
@@ -474,6 +472,25 @@ def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: 
         found += here
         analysed.append((min(m.distance for m in here), Loops(at.name, omega, L, plant, feedback, joints)))
     return tuple(found), min(analysed, key=lambda one: one[0])[1]
+
+
+def refuse_unstable(name: str, margins: Sequence[Margin], duration: float) -> None:
+    """Refuse a controller whose errors grow to more than e times within the motion's duration [s], if its loops were
+    all the time as at one of its points.
+
+    Slower growth passes: a point lasts for a part of the motion only, and a load that hangs almost undamped may swing a
+    little more in a posture, whatever the controller. `UNSTABLE_IN_POSTURE` reports it.
+
+    Raises:
+        ProblemError: errors grow faster; the sentence states loop, posture and gain margin.
+    """
+    unstable = [margin for margin in margins if margin.growth * duration > 1]
+    if unstable:
+        worst = min(unstable, key=lambda margin: margin.distance)
+        raise ProblemError(
+            f"the loop of '{worst.loop}' is unstable with {name} in the posture of the {worst.point}, where its gain "
+            f"margin is {20 * np.log10(worst.gain):.1f} dB", where="closed loop",
+            remedy="lower --gain or --sensitivity, raise --rate, or leave this controller out with --controller")
 
 
 def margin_diagnostics(best: Outcome, lost: Sequence[LostMargin]) -> Iterator[Diagnostic]:

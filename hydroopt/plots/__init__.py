@@ -41,7 +41,7 @@ class Plots:
         """
         from hydroopt.plots.figures import forces  # noqa: PLC0415 (matplotlib takes long to load)
 
-        return _notebook(forces(self._estimate("forces")), "forces")
+        return _notebook(forces(self._estimate("forces")))
 
     def residuals(self) -> Figure:
         """Residuals of the forces over time and velocity, of an identification.
@@ -51,7 +51,7 @@ class Plots:
         """
         from hydroopt.plots.figures import residuals  # noqa: PLC0415
 
-        return _notebook(residuals(self._estimate("residuals")), "residuals")
+        return _notebook(residuals(self._estimate("residuals")))
 
     def parameters(self) -> Figure:
         """Changes of the parameters from the machine file to the answer, with their intervals.
@@ -59,13 +59,13 @@ class Plots:
         Raises:
             ProblemError: this has no parameters that differ from those of a machine file.
         """
-        from hydroopt.plots.figures import changes, changes_of  # noqa: PLC0415
+        from hydroopt.plots.figures import changes  # noqa: PLC0415
         from hydroopt.results.answer import Answer  # noqa: PLC0415
 
-        figure = changes(changes_of(self._shown.parameters)) if isinstance(self._shown, Answer) else None
+        figure = changes(self._shown.parameters) if isinstance(self._shown, Answer) else None
         if figure is None:
             raise self._refusal("parameters")
-        return _notebook(figure, "parameters")
+        return _notebook(figure)
 
     def machine(self) -> Figure:
         """The machine from the side: at the mean and the extremes of the training motion, or of its ranges.
@@ -87,7 +87,7 @@ class Plots:
         else:
             model = Model(machine_of(self._shown, "plot.machine"))
             drawn = side_view(model, limit_postures(model), "middle of all ranges", "limits of each joint")
-        return _notebook(drawn, "machine")
+        return _notebook(drawn)
 
     def _estimate(self, what: str) -> Estimate:
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
@@ -103,9 +103,9 @@ class Plots:
                             remedy="draw what hydroopt.solve returned, or see the page of hydroopt.view")
 
 
-def _notebook(figure: Figure, name: str) -> Figure:
+def _notebook(figure: Figure) -> Figure:
     """The figure with what notebooks ask for, in the look of the pages."""
     from hydroopt.plots.figures import svg  # noqa: PLC0415
 
-    setattr(figure, "_repr_svg_", partial(svg, figure, name))  # noqa: B010 (matplotlib's type does not know it)
+    setattr(figure, "_repr_svg_", partial(svg, figure))  # noqa: B010 (matplotlib's type does not know it)
     return figure

@@ -16,7 +16,7 @@ from hydroopt.report.scene import SceneView
 from hydroopt.results.json_file import FILES
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.poses.plan import PosePlan
+    from hydroopt.excitation.selection.pose_plan import PosePlan
     from hydroopt.results.parameter_table import ParameterRow
 
 

@@ -23,9 +23,8 @@ from hydroopt.control.closed_loop import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
 from hydroopt.control.linear_plant import linearised, point, sampled
 from hydroopt.control.loops import response
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant
 from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.model.contact import Wall

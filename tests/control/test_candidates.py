@@ -13,9 +13,8 @@ from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
 from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, compare, margin_diagnostics
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant, reduced, truth
 from hydroopt.control.reference import Reference
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting, reduced, truth
 from hydroopt.model.plant import Plant
 from hydroopt.results.verdict import Action
 from hydroopt.simulation.simulate import Trajectory, forces

@@ -16,11 +16,9 @@ from hydroopt.simulation.simulate import Trajectory
 from hydroopt.weighing.calibrated_scale import scale
 from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.equations import Equations, equations
-from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.recursion import Recursion, expected, load_prior
-from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain
-from hydroopt.weighing.smoothed_log import smoothed_log
-from hydroopt.weighing.smoothing_kernel import SmoothingKernel
+from hydroopt.weighing.scale import CarriedLoad, Gaussian, Scale, Uncertain
+from hydroopt.weighing.smoothed_log import SmoothingKernel, smoothed_log
 from hydroopt.weighing.weighing import Weighing, learned, weigh
 from studies.weighing.machines import CAT, OTHERS, Session, SimulatedMachine, pick_up
 from studies.weighing.run import DISTURBED, IN_A_BUCKET, outcomes
