@@ -13,7 +13,7 @@ from hydroopt.logs.forces_from_pressures import force_noise, pressures
 from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.tip_wrench import free_forces
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 

@@ -17,8 +17,8 @@ from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.limits.use import UseOfLimit, courses
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model, model_of
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning

@@ -14,8 +14,8 @@ from hydroopt.limits.postures import PostureLimits, held_link
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning

@@ -14,7 +14,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.quality import frozen, held, without_noise
 from hydroopt.logs.table import runs
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
 

@@ -12,7 +12,7 @@ from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.calibrator.construction import SensorOffer, Workshop
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer, Workshop
     from hydroopt.machine.machine import Machine
 
 Range = tuple[str, str] | None
@@ -53,9 +53,9 @@ def design_calibrator(
 
     Example: hydroopt design-calibrator cat215b -n 40 --length-std '3 mm' --keep grapple_swing --keep grapple -o out/rig
     """
-    from hydroopt.excitation.calibrator.design import design_calibrator as design
-    from hydroopt.excitation.calibrator.problem import calibrator_problem
-    from hydroopt.excitation.poses.problem import pose_problem
+    from hydroopt.excitation.selection.calibrator_design import design_calibrator as design
+    from hydroopt.excitation.selection.calibrator_problem import calibrator_problem
+    from hydroopt.excitation.selection.pose_problem import pose_problem
     from hydroopt.report.calibrator import drawing
 
     described = run.machine
@@ -94,7 +94,7 @@ def _links(text: str) -> tuple[int, int]:
 
 
 def _offer(text: str) -> SensorOffer:
-    from hydroopt.excitation.calibrator.construction import SensorOffer
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer
     from hydroopt.units import to_si
 
     accuracy, found, cost = text.partition("=")
@@ -111,7 +111,7 @@ def _workshop(machine: Machine, longest: str | None, ball: Sequence[Range], leng
     """What can be built: as usual for the machine, but for what the options say."""
     from dataclasses import replace
 
-    from hydroopt.excitation.calibrator.problem import usual_workshop
+    from hydroopt.excitation.selection.calibrator_problem import usual_workshop
     from hydroopt.units import to_si
 
     usual = usual_workshop(machine)

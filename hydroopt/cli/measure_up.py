@@ -23,7 +23,7 @@ def measure_up(
 
     Example: hydroopt measure-up excavator.toml --tip-std '10 mm' -o out/sheet
     """
-    from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
+    from hydroopt.excitation.selection.measure_up import fewest_readings, measure_up_problem
     from hydroopt.units import to_si
 
     spent = minutes_of(minutes or ())

@@ -27,8 +27,8 @@ def plan_poses(
 
     Example: hydroopt plan-poses cat215b -n 40 -o out/plan
     """
-    from hydroopt.excitation.poses.exchange import fedorov_exchange
-    from hydroopt.excitation.poses.problem import pose_problem
+    from hydroopt.excitation.selection.exchange import fedorov_exchange
+    from hydroopt.excitation.selection.pose_problem import pose_problem
 
     with run.progress(f"choosing poses for {run.machine.name}") as say:
         problem = pose_problem(run.machine, poses, stages=stage or None, criterion=criterion, focus=focus or (),

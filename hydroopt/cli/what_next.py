@@ -41,8 +41,8 @@ def what_next(
     Example: hydroopt what-next cat215b --force-std '1 %' -o out/next
     """
     from hydroopt.errors import ProblemError
-    from hydroopt.excitation.next.plan import plan_next
-    from hydroopt.excitation.next.problem import what_next_problem
+    from hydroopt.excitation.selection.what_next import plan_next
+    from hydroopt.excitation.selection.what_next_problem import what_next_problem
     from hydroopt.logs.log_files import read_log
     from hydroopt.simulation.reference_motion import reference_motion
     from hydroopt.units import to_si

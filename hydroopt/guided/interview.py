@@ -5,17 +5,20 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member, Telescope
 from hydroopt.guided.plane import OpenError
-from hydroopt.guided.question import AnswerError, Question
-from hydroopt.guided.side_geometry import SideGeometry
+from hydroopt.guided.question import Question
+
+if TYPE_CHECKING:
+    from hydroopt.guided.sketch import Sketch
 
 STRAIGHT = 0.03
 """How near to 0 the sine of an angle between lever and cylinder may come, at which the cylinder has no lever arm."""
 
 
-def ask(sketch: SideGeometry) -> Iterator[Question]:
+def ask(sketch: Sketch) -> Iterator[Question]:
     """All questions about a sketch in order; each typical answer follows from the answers to those before."""
     return _Interview(sketch).questions()
 
@@ -23,7 +26,7 @@ def ask(sketch: SideGeometry) -> Iterator[Question]:
 class _Interview:
     """The questions of one sketch."""
 
-    def __init__(self, sketch: SideGeometry) -> None:
+    def __init__(self, sketch: Sketch) -> None:
         self.sketch = sketch
 
     def questions(self) -> Iterator[Question]:
@@ -105,13 +108,13 @@ class _Interview:
         stroke = f"{member.name}_stroke"
         yield Question(f"{stroke}.retracted", f"{name}: pin to pin, fully retracted?", "m", retracted, least=0.02,
                        most=40)
-        short = self.sketch.tentative(f"{stroke}.retracted", retracted)
+        short = self.sketch.number(f"{stroke}.retracted")
         yield Question(f"{stroke}.extended", f"{name}: pin to pin, fully extended?", "m",
                        extended if extended > 1.05 * short else 1.5 * short, least=1.01 * short, most=2 * short)
         scale = self.sketch.scale(k)
         yield Question(f"{name}.bore", f"{name}: bore?", "m", _round(scale * part.bore), "inner diameter of the barrel",
                        least=0.005, most=2)
-        bore = self.sketch.tentative(f"{name}.bore", _round(scale * part.bore))
+        bore = self.sketch.number(f"{name}.bore")
         yield Question(f"{name}.rod", f"{name}: diameter of the rod?", "m", _round(bore * part.rod / part.bore),
                        least=0.1 * bore, most=0.98 * bore)
         yield Question(f"{name}.jacks", f"{name}: how many equal cylinders side by side?", "1", float(part.jacks),
@@ -128,7 +131,7 @@ class _Interview:
         travel = part.travel * length
         yield Question(f"{name}.travel", f"{name}: how far does the first section slide out?", "m", travel,
                        f"from fully retracted to fully extended, measured at the {link.last}", least=0.02, most=30)
-        travel = self.sketch.tentative(f"{name}.travel", travel)
+        travel = self.sketch.number(f"{name}.travel")
         if self.sketch.sections == 2:
             yield Question(f"{name}_second.travel", f"{name}_second: how far does it slide out of the first one "
                            "meanwhile?", "m", travel, "a chain takes it just as far", least=0.02, most=30)
@@ -153,7 +156,7 @@ class _Interview:
         scaled = typical * self.sketch.scale(k)
         yield Question(f"{key}.from_first", f"{text}: from the {member.first}?", "m", abs(scaled),
                        "tape from pin centre to pin centre", least=1e-3, most=60)
-        near = self.sketch.tentative(f"{key}.from_first", abs(scaled))
+        near = self.sketch.number(f"{key}.from_first")
         typical_far = abs(scaled / abs(scaled) * near - length) if scaled else abs(length - near)
         yield Question(f"{key}.from_last", f"{text}: from the {member.last}?", "m", typical_far,
                        "tape from pin centre to pin centre", least=0.0, most=120)
@@ -179,7 +182,7 @@ class _Interview:
             arm = abs(self.sketch.point(f"{part.name}.rod_pin") if member.linkage is None
                       else self.sketch.rocker_rod(member.linkage))
             reach = abs(self.sketch.barrel(k, 0.0) - pin)
-        except (OpenError, AnswerError):
+        except OpenError:
             return 1.0 * scale, 1.6 * scale
         if part.lengths is not None:
             made = (self.sketch.scale(k - 1) * part.lengths[0], self.sketch.scale(k - 1) * part.lengths[1])

@@ -88,32 +88,6 @@ class Fixture(Noun):
         return self
 
 
-class Tracker(Noun):
-    """An instrument that tracks the tip in the columns `tip.x`, `tip.y`, `tip.z` of a pose table."""
-
-    position: Lengths = (0.0, 0.0, 0.0)
-    """Place (3,) of its frame in the base frame."""
-    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw of its frame."""
-
-
-class Distance(Noun):
-    """A distance between two points."""
-
-    name: Name
-    """Name of the distance."""
-    between: tuple[Name, Name]
-    """Two fixtures, or two targets of links, base or ground."""
-    length: Length | None = Field(None, gt=0)
-    """Between fixtures the known length, which determines the scale of a closed chain (Section 3.6.4); between targets
-    none: poses read it in the column ``<name>.length``."""
-
-    @property
-    def measured(self) -> bool:
-        """Whether poses read it."""
-        return self.length is None
-
-
 class Stage(Noun):
     """Poses measured one after another.
 

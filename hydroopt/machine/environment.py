@@ -118,17 +118,3 @@ class Footprint(Noun):
         twice = points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]
         x, y = (twice @ (points + after) / (3 * np.sum(twice))).tolist()
         return x, y
-
-
-def refuse_sideways(orientation: tuple[float, float, float]) -> None:
-    """Refuse a height of the ground in a base frame whose z axis, turned by roll, pitch and yaw [rad], is not upwards.
-
-    Raises:
-        ImpossibleError: no part of the machine would ever be below such a ground.
-    """
-    roll, pitch, _ = orientation
-    tilt = np.arccos(np.cos(roll) * np.cos(pitch))
-    if tilt > STEEPEST:
-        raise ImpossibleError("the ground is a height along the base's z axis, which points "
-                              f"{np.degrees(tilt):.0f} deg away from upwards", "describe the machine in a base frame "
-                              "whose z axis points up, or leave out 'ground'", "ground")

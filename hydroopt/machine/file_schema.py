@@ -10,25 +10,19 @@ from typing import Annotated, Any, Self, get_args
 from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError, model_validator
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
-from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
-from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.datums import Datum
+from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor, Spring
+from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
-from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.free_links import FreeLink
-from hydroopt.machine.imus import Imu
-from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.linkages import Linkage
 from hydroopt.machine.links import Body, Joint, Link, Note
-from hydroopt.machine.loops import Loop
+from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.oil_links import OilLink
 from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
-from hydroopt.machine.sensor import Sensor
-from hydroopt.machine.springs import Spring
-from hydroopt.machine.targets import Target
+from hydroopt.machine.sensors import FaultSizes, Imu, Sensor
+from hydroopt.machine.survey import Datum, Distance, Instrument, Target, Tracker
 from hydroopt.machine.valves import Oil
 from hydroopt.units import UnitError, spread_to_si, to_si
 

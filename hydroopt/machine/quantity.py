@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
@@ -56,6 +57,11 @@ class Quantity:
 
     def __init__(self, si: str, *others: str) -> None:
         self.si, self.others = si, others
+
+    @property
+    def sliding(self) -> str:
+        """The unit where it belongs to a joint that slides, not turns."""
+        return self.others[0] if self.others else self.si
 
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """SI value of a string with unit; a bare number passes only where code, not a file, states it."""
@@ -112,6 +118,11 @@ def longer_than_machines(length: float) -> str:
 class Displacement(Quantity):
     """Marks what a motor displaces per angle, which is also its torque per pressure."""
 
+    @property
+    def sliding(self) -> str:
+        """The same: the second unit is another way to write it."""
+        return self.si
+
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """As of any quantity; a volume alone, which has the dimension of torque per pressure, is refused."""
         found = super().__call__(value, info)
@@ -119,6 +130,19 @@ class Displacement(Quantity):
             raise ImpossibleError(f"'{value.strip()}' is a volume without the angle in which the motor displaces it",
                                   f"write it as \"{value.strip()}/rev\" or \"{value.strip()}/rad\"")
         return found
+
+
+@cache
+def quantity_of(kind: type[BaseModel], key: str) -> Quantity | None:
+    """What marks a field, or the entries of its tuple or table, as a physical quantity; None of any other field."""
+    field = kind.model_fields[key]
+    return next((mark for mark in (*field.metadata, *_marks(field.annotation)) if isinstance(mark, Quantity)), None)
+
+
+def _marks(annotation: Any) -> Iterator[Any]:
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _marks(argument)
+    yield from getattr(annotation, "__metadata__", ())
 
 
 def keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.model.kinematics import UP, Motion
 from hydroopt.spatial.poses import Pose, roll_pitch_yaw
 

@@ -13,8 +13,8 @@ from hydroopt.errors import ProblemError
 from hydroopt.kernels.native import Runner
 from hydroopt.kernels.virtual_machine import simplified
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model import lagrange
 from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length

@@ -14,7 +14,7 @@ from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.integrator import Integrator
 from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.machine.actuators import Cylinder, Drive
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.contact import Wall
 from hydroopt.model.hydraulics import (
     AMBIENT,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.addresses import Number, gas_numbers, spring_numbers
+from hydroopt.machine.addresses import Number
 from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
@@ -105,13 +105,8 @@ def owners_with_confidence(machine: Machine, found: Mapping[str, Owned]) -> froz
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     """The pressures of gas-charged cylinders, stiffness and preload of springs."""
-    found = [*chain.from_iterable(map(gas_numbers, machine.gas_cylinders)),
-             *chain.from_iterable(map(spring_numbers, machine.springs))]
-    return {number.name: _passive(number) for number in found}
-
-
-def _passive(number: Number) -> Scalar:
-    return Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
+    return {number.name: Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
+            for number in machine.passive_numbers}
 
 
 def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False,

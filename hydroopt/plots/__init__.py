@@ -74,7 +74,7 @@ class Plots:
             ProblemError: this is not about one machine.
         """
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
-        from hydroopt.machine.given_machine import machine_of  # noqa: PLC0415
+        from hydroopt.machine.machine_file import machine_of  # noqa: PLC0415
         from hydroopt.model.model import Model  # noqa: PLC0415
         from hydroopt.model.vertical_plane import limit_postures, range_postures  # noqa: PLC0415
         from hydroopt.plots.side_view import side_view  # noqa: PLC0415

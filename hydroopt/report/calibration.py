@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections import Counter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
 from hydroopt.report.charts import Chart, Curves, Field, Line, TimeChart
 from hydroopt.report.correlation_map import correlation_map
-from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
+from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import NUMBERS, with_unit
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView, base_point
+from hydroopt.report.tables import by_owner
 from hydroopt.results.status import Status
 
 if TYPE_CHECKING:
@@ -27,9 +29,6 @@ METHODS = {
 }
 """Methods in words."""
 
-PRINTED: dict[str, tuple[str, float]] = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
-"""Units that a reader prefers, and what SI is multiplied by."""
-
 LOOKS = {("nominal", "machine"): "measured", ("nominal", "calibrator"): "fifth",
          ("calibrated", "machine"): "predicted", ("calibrated", "calibrator"): "other"}
 """Looks of both sides of the chain by geometry and side."""
@@ -41,37 +40,22 @@ FLAT = 1e-6
 """Width of a view, relative to its length, from which on it is drawn."""
 
 
-class Parameter(NamedTuple):
-    """One line of the parameter table."""
-
-    name: str
-    unit: str
-    numbers: Row
-    identifiability: str
-    partner: str
-    alone: bool
-    strong: bool
-    figure: Markup
-
-
 def render(c: Calibration) -> str:
     """The report as one HTML page that needs nothing else."""
     problem, identified = c.problem, c.observability
-    groups = _groups(c)
-    every = [p for _, rows in groups for p in rows]
     return document(
         "calibration.html", samples=_samples(c), charts={
             "residuals": _residuals(c), "sides": _sides(c), "workspace": _workspace(c)},
-        scene=_scene(c), verdict=c.verdict, machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
+        scene=_scene(c), answer=c, machine=problem.model.machine, calibration=c,
         suspect=c.status is not Status.OK,
-        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, correlations=_correlations(c),
-        counts={kind: sum(p.identifiability == kind for p in every)
-                for kind in ("full", "combination", "none", "fixed")},
+        method=METHODS.get(c.method, ""), fit=_fit(c), groups=list(by_owner(c.parameters, NUMBERS).items()),
+        partners=_partners(c), correlations=_correlations(c),
+        counts=Counter(each.identifiability for each in c.parameters.rows),
         tables=_tables(c), stages=len(set(problem.poses.stage)),
         suspects=[s.diagnostic.text for s in c.suspects], left_out=[s.diagnostic.text for s in c.left_out],
         condition=plain(identified.condition_number, 3), amplification=plain(identified.noise_amplification_index, 3),
         scale=plain(c.noise_scale, 3), accuracy=_accuracy(c),
-        fixed=[f"{name} = {_printed(value, problem.parameters.units[problem.parameters.index(name)])}"
+        fixed=[f"{name} = {with_unit(value, problem.parameters.units[problem.parameters.index(name)], digits=6)}"
                for name, value in problem.fixed.items()])
 
 
@@ -100,33 +84,11 @@ def _cells(fit: Fit | None) -> tuple[str, str, str]:
             plain(100 * fit.relative, 3))
 
 
-def _groups(c: Calibration) -> list[tuple[str, list[Parameter]]]:
-    """Parameters by the part they belong to; those the poses add come last."""
-    return [(owner, [_parameter(c, k) for k in rows]) for owner, rows in _owners(c).items()]
-
-
-def _owners(c: Calibration) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for k, name in enumerate(c.problem.parameters.names):
-        found.setdefault(name.rpartition(".")[0], []).append(k)
-    return found
-
-
-def _parameter(c: Calibration, k: int) -> Parameter:
-    parameters = c.problem.parameters
-    name = parameters.names[k]
-    unit, factor = PRINTED.get(parameters.units[k], (unit_text(parameters.units[k]), 1.0))
-    partner, strong = "", False
-    if name in c.correlations:
-        other, r = c.correlations[name]
-        partner = f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else ""
-        strong = (min(name, other), max(name, other)) in c.correlated_pairs
-    low, high = (factor * float(v) for v in c.ci95[k])
-    std = float(c.std[k])
-    numbers = quantity(factor * float(c.theta[k]) if c.determined[k] else np.nan, factor * std, (low, high),
-                       factor * float(parameters.nominal[k]))
-    return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong,
-                     interval(c.parameters[name]))
+def _partners(c: Calibration) -> dict[str, tuple[str, bool]]:
+    """By parameter the one that it is most correlated with, and whether the poses hardly separate them."""
+    return {name: (f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else "",
+                   (min(name, other), max(name, other)) in c.correlated_pairs)
+            for name, (other, r) in c.correlations.items()}
 
 
 def _tables(c: Calibration) -> list[dict[str, Any]]:
@@ -144,11 +106,6 @@ def _accuracy(c: Calibration) -> dict[str, str]:
     """Standard deviations over the workspace [mm]; empty where there are none."""
     found = {"median": c.workspace.median_std, "largest": c.workspace.largest_std}
     return {name: plain(1e3 * std, 3) for name, std in found.items()} if np.isfinite(found["median"]) else {}
-
-
-def _printed(value: float, unit: str) -> str:
-    shown, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
-    return f"{plain(factor * value, 6)} {shown}"
 
 
 # --- poses ---

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
-from hydroopt.report.panels import PRINTED, Panel, Trace, charts_of, columns_of, positions
+from hydroopt.report.panels import PRINTED, Panel, Trace, charts_of, columns_of, positions, shown, with_unit
 from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
@@ -41,11 +41,11 @@ def render(excitation: Excitation) -> str:
         **positions(machine.joints, path.q), **columns_of(panels)})])
     view = SceneView(problem.information.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints),
                      path=excitation.tip[::max(1, len(excitation.tip) // MOST)])
-    still = ", ".join(f"{joint} at {_shown(position, machine.channel_units[f'{joint}.q'])}"
+    still = ", ".join(f"{joint} at {with_unit(position, machine.channel_units[f'{joint}.q'], PRINTED, 4)}"
                       for joint, position in problem.resting.items())
     return document(
         "excitation.html", samples=samples, charts={name: charts_of(some) for name, some in every.items()}, scene=view,
-        verdict=excitation.verdict, machine=machine, excitation=excitation, diagnostics=excitation.diagnostics,
+        answer=excitation, machine=machine, excitation=excitation,
         series=basis.text, still=still,
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), random=_beside_random(excitation),
@@ -80,13 +80,8 @@ def _condition(excitation: Excitation, scaling: str) -> str:
     return plain(excitation.condition_numbers.get(scaling, np.nan), 3)
 
 
-def _shown(value: float, unit: str) -> str:
-    name, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
-    return f"{plain(value * factor)} {name}" if np.isfinite(value) else NONE
-
-
 def _limit(use: UseOfLimit) -> dict[str, str]:
-    name, factor = PRINTED.get(use.unit, (unit_text(use.unit), 1.0))
+    name, factor = shown(use.unit, PRINTED)
     largest = max(abs(x) for x in (use.lower, use.lowest, use.highest, use.upper) if np.isfinite(x))
     lower, lowest, highest, upper, room = (plain(0.0 if abs(x) < 1e-6 * largest else factor * x) for x in (
         use.lower, use.lowest, use.highest, use.upper, use.room))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from markupsafe import Markup
 
 from hydroopt.report import force_charts
-from hydroopt.report.intervals import interval
 from hydroopt.report.machine_view import mass_tints
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import SI
 from hydroopt.report.scene import SceneView, Tint
-from hydroopt.results.fit import Fit
+from hydroopt.report.tables import FitCells, Parameter, by_owner, fit_cells, fit_rows
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.estimate import Estimate
@@ -29,22 +28,6 @@ METHODS = {
     "tsvd": "truncated singular values",
 }
 """Methods in words."""
-
-
-class Parameter(NamedTuple):
-    """One line of the parameter table."""
-
-    name: str
-    element: str
-    unit: str
-    numbers: Row
-    prior: str
-    from_data: str
-    bound: str
-    identifiability: str
-    alone: bool
-    beside: bool
-    figure: Markup
 
 
 class Group(NamedTuple):
@@ -66,17 +49,15 @@ def render(estimate: Estimate) -> str:
     samples = force_charts.samples(estimate)
     return document(
         "identification.html", samples=samples, charts=force_charts.charts(estimate, samples), scene=_scene(estimate),
-        machine=problem.model.machine, estimate=estimate, diagnostics=estimate.diagnostics,
-        verdict=estimate.verdict,
-        method=METHODS.get(estimate.method, ""), fit=_fit(estimate), models=list(estimate.variants),
+        answer=estimate, machine=problem.model.machine, estimate=estimate,
+        method=METHODS.get(estimate.method, ""), fit=fit_rows(estimate.fit, SI), models=list(estimate.variants),
         fit_by_model=_fit_by_model(estimate), friction=friction,
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
         misfit=estimate.misfit, misfit_readings=_readings(estimate.misfit), misfit_causes=_causes(estimate.misfit),
         weights=_weights(estimate), groups=groups, base=_base(estimate), totals=_totals(estimate),
         condition=plain(estimate.identifiability.condition_number, 3),
-        counts={c: sum(p.identifiability == c for g in groups for p in g.parameters)
-                for c in ("full", "combination", "not excited", "none", "fixed")},
+        counts=Counter(each.identifiability for each in estimate.parameters.rows),
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
         logs=[_log("training", e) for e in problem.experiments] + [_log("validation", e) for e in problem.validation],
         constraints=problem.constraint_names, priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}"
@@ -94,28 +75,12 @@ def _scene(estimate: Estimate) -> SceneView:
         Tint("residual", "residual / σ of the actuator", "σ", 2.0, columns=residual), *mass_tints(estimate.parameters)))
 
 
-def _fit(estimate: Estimate) -> list[dict[str, Any]]:
-    """Rows of the fit table: channel, unit, and the cells of training and validation."""
-    sets = [estimate.fit.get(name, {}) for name in ("train", "validation")]
-    channels = list(dict.fromkeys(channel for table in sets for channel in table
-                                  if channel != "all" or len(table) > 2))
-    return [{"channel": channel, "unit": unit_text(next(t[channel].unit for t in sets if channel in t)),
-             "cells": [_cells(table.get(channel)) for table in sets]} for channel in channels]
-
-
-def _fit_by_model(estimate: Estimate) -> list[tuple[str, str, str, list[tuple[str, str, str, bool]]]]:
+def _fit_by_model(estimate: Estimate) -> list[tuple[str, str, str, list[FitCells]]]:
     """Data, channel, unit, and the cells of each model."""
     words = {"train": "training"}
     return [(words.get(data, data), channel, unit_text(one.unit), [
-        _cells(sets[data][channel]) for sets in estimate.fit_by_model.values()])
+        fit_cells(sets[data][channel], SI) for sets in estimate.fit_by_model.values()])
         for data, table in estimate.fit.items() for channel, one in table.items()]
-
-
-def _cells(fit: Fit | None) -> tuple[str, str, str, bool]:
-    """RMS, VAF, relative error, and whether the mean of the signal would have predicted better."""
-    if fit is None:
-        return NONE, NONE, NONE, False
-    return plain(fit.rms), percent(fit.vaf), percent(fit.relative), fit.vaf < 0
 
 
 def _readings(misfit: Misfit | None) -> list[tuple[str, bool, str, str, str, str]]:
@@ -143,21 +108,10 @@ def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:
 
 
 def _groups(estimate: Estimate) -> list[Group]:
-    groups: dict[str, list[Parameter]] = {}
-    for name, one in estimate.parameters.items():
-        owner, _, element = name.rpartition(".")
-        low, high = one.ci95 or (math.nan, math.nan)
-        value, std, nominal = (math.nan if x is None else x for x in (one.value, one.std, one.nominal))
-        groups.setdefault(owner, []).append(Parameter(
-            name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal),
-            NONE if one.prior_std is None else plain(one.prior_std, 2),
-            NONE if one.information_from_data is None else plain(100 * one.information_from_data, 2), one.bound or "",
-            one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high,
-            interval(one)))
     least = estimate.consistency
     return [Group(owner, plain(least[owner], 3) if owner in least else "", least.get(owner, 0.0) < 0,
                   any(row.numbers.value == NONE for row in rows), rows)
-            for owner, rows in groups.items()]
+            for owner, rows in by_owner(estimate.parameters, SI).items()]
 
 
 def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:

@@ -20,6 +20,7 @@ from hydroopt.report.charts import Chart, Curves, Field, HeatMap, TimeChart
 from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
+from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import NOT_SEPARABLE, Diagnostic, sentences
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
@@ -76,16 +77,18 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def document(template: str, *, samples: Samples | None = None, charts: Mapping[str, Sequence[Chart]] | None = None,
-             scene: SceneView | None = None, diagnostics: Sequence[Diagnostic] = (), **content: Any) -> str:
+def document(template: str, *, answer: Answer | None = None, samples: Samples | None = None,
+             charts: Mapping[str, Sequence[Chart]] | None = None, scene: SceneView | None = None,
+             diagnostics: Sequence[Diagnostic] = (), **content: Any) -> str:
     """A page that needs nothing else: no file, no network.
 
     Args:
         template: of the folder ``templates``.
+        answer: what the page is about; the template shows its verdict and diagnostics.
         samples: columns that figures and machine share.
         charts: figures by the names under which the template shows them.
         scene: the machine in space.
-        diagnostics: of the answer; the page parts them by what they are about.
+        diagnostics: of a page without an answer; the page parts them by what they are about.
         content: whatever else the template shows.
     """
     samples = samples or Samples("", figures.NOTHING, {})
@@ -98,8 +101,10 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
     policy = "; ".join(("default-src 'none'", "img-src data: blob:", "style-src 'unsafe-inline'",
                         "script-src " + " ".join(f"'sha256-{_digest(text)}'" for text in scripts)))
     style = _text("templates", "style.css") + (_text("vendor", "uPlot.min.css") if flat else "")
+    if answer is not None:
+        diagnostics, content["verdict"] = answer.diagnostics, answer.verdict
     return _environment().get_template(template).render(
-        charts=shown, scene=scene, found=_found(diagnostics),
+        answer=answer, charts=shown, scene=scene, found=_found(diagnostics),
         replayed=samples if len(samples.at) else None, policy=policy, style=Markup(style),
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")),
         scripts=[Markup(text) for text in scripts], **content)

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt.machine.cylinder_checks import straight_and_wide
-from hydroopt.machine.idle_linkages import idle_linkages
+from hydroopt.machine.file_checks import idle_linkages
 from hydroopt.machine.machine_file import ROBOT_SUFFIXES
-from hydroopt.machine.mechanism import branches
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.machine.posture import turns
-from hydroopt.machine.unmeasured_joints import unmeasured_joints
+from hydroopt.machine.range_checks import straight_and_wide
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.unstated_bodies import unstated_bodies
@@ -81,7 +79,7 @@ def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
 
 
 def _unmeasured(model: Model) -> Iterator[Diagnostic]:
-    for each in unmeasured_joints(model.machine):
+    for each in model.machine.unmeasured_joints:
         yield Diagnostic.of("forces at a joint not measured", (each.joint,), {
             "unmeasured": " and ".join(each.unmeasured) + (" is" if len(each.unmeasured) == 1 else " are"),
             "remedy": each.remedy},
@@ -126,12 +124,13 @@ def _idle_linkages(model: Model) -> Iterator[Diagnostic]:
 
 def _unclear_postures(model: Model) -> Iterator[Diagnostic]:
     machine = model.machine
-    for each in branches(machine):
+    for each in Mechanism(machine).ways:
         if each.near > CLEAR * each.far:
-            near, far = ((f"{np.degrees(away):.1f} deg" if turns(machine, each.joint) else f"{away:.3f} m")
+            near, far = (f"{np.degrees(away):.1f} deg" if machine.turns(each.stated[0]) else f"{away:.3f} m"
                          for away in (each.near, each.far))
+            stands = machine.in_words({joint: at for joint, at in each.own.items() if joint in each.stated})
             yield Diagnostic.of("a posture lies between two ways to assemble a loop", (each.loop,), {
-                "near": near, "far": far, "stands": each.stands},
+                "near": near, "far": far, "stands": stands},
                 "The posture of {subject} lies between the two ways to assemble it: {near} from the one that is taken "
                 "and {far} from the other.",
                 "State the posture of the machine more closely: {stands}.")

@@ -13,9 +13,9 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import STANDSTILL
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
-from hydroopt.machine.given_machine import GivenMachine
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.model.model import Model, model_of
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind

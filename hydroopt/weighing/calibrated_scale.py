@@ -18,8 +18,8 @@ from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.balances import undriven
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model, model_of
 from hydroopt.simulation.simulate import Trajectory, random_trajectory

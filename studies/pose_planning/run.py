@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from hydroopt import load_machine, solve
-from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
+from hydroopt.excitation.selection.pose_problem import expected_uncertainty, pose_problem
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 

@@ -3,7 +3,7 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.sensors import measure
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 
 @pytest.mark.parametrize(("accuracy", "resolution", "distribution"), [

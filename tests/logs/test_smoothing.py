@@ -6,7 +6,7 @@ import pytest
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.sensors import measure
 from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline, condition
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 ACCURACY, STEP = np.deg2rad(0.1), 2 * np.pi / 2**14
 NOISE = Sensor(channels=("boom.q",), accuracy=ACCURACY, resolution=STEP).std

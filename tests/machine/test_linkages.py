@@ -9,11 +9,11 @@ from typer.testing import CliRunner
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.cli import app
 from hydroopt.errors import MachineError
+from hydroopt.machine.file_checks import idle_linkages
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.idle_linkages import idle_linkages
-from hydroopt.machine.loop_checks import loop_ranges
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.range_checks import loop_ranges
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.machine_diagnostics import machine_diagnostics

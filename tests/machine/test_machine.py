@@ -13,7 +13,7 @@ from fixtures.tree import TREE, pin
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.links import Body, Joint
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 INCH = 0.0254
 

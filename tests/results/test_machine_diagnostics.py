@@ -7,9 +7,9 @@ from typer.testing import CliRunner
 import hydroopt as ho
 from fixtures.tiers import machines
 from hydroopt.cli import app
-from hydroopt.machine.idle_linkages import idle_linkages
+from hydroopt.machine.file_checks import idle_linkages
 from hydroopt.machine.machine_file import dump_machine
-from hydroopt.machine.mechanism import branches
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 
@@ -100,7 +100,7 @@ def test_a_straight_cylinder_that_turns_its_joint_far_is_named(limit: str, wide:
 def test_a_posture_between_two_ways_of_assembly_is_named_with_its_margin(off: float, named: bool) -> None:
     """The rocker of excavator_bucket stands at 80.0 deg or, the other way, 90.9 deg from there."""
     machine = ho.load_machine("excavator_bucket")
-    (branch,) = branches(machine)
+    (branch,) = Mechanism(machine).ways
     taken, other = (np.degrees(each) for each in (branch.near, branch.far))
     stated = 80.0 - off * (other - taken)
     loop = next(each for each in machine.loops if each.name == "bucket_linkage")

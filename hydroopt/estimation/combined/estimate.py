@@ -34,11 +34,9 @@ from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.logs.any_log import in_memory
-from hydroopt.machine.calibrated_numbers import with_calibrated
-from hydroopt.machine.flat_loops import closed_flat
+from hydroopt.machine.calibrated_numbers import closed_flat, standing_for, with_calibrated
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.standing import standing_for
 from hydroopt.model.model import Model
 from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic

@@ -19,8 +19,8 @@ from hydroopt.estimation.dynamic.training_logs import FORCE_NOT_MEASURED, forces
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, Identifiability
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer

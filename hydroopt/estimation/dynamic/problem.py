@@ -34,7 +34,7 @@ from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet

@@ -14,7 +14,7 @@ from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.machine.unmeasured_joints import UnmeasuredJoint, unmeasured_joints
+from hydroopt.machine.balances import UnmeasuredJoint
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
@@ -125,7 +125,7 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
     logs = len(found.problem.validation)
     condition = (f"RMS without the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
-    for each in unmeasured_joints(found.problem.model.machine):
+    for each in found.problem.model.machine.unmeasured_joints:
         yield Use(Purpose.FORCES, each.joint, Usable.NO,
                   reason=f"{' and '.join(each.unmeasured)} not measured, so that no log tells the force there")
     for k, balance in enumerate(found.problem.model.machine.balances):
@@ -258,7 +258,7 @@ def _loaded(model: Model, q: Array) -> tuple[UnmeasuredJoint, ...]:
     pull = np.asarray(gravity_in_base(model.machine), dtype=float).ravel()
     at_joints = np.abs(pull @ model.over(model.tip_jacobian, q)[0][0][:3])
     loaded = at_joints > LOADED * np.max(at_joints)
-    return tuple(each for each in unmeasured_joints(model.machine)
+    return tuple(each for each in model.machine.unmeasured_joints
                  if loaded[model.machine.joints.index(each.joint)])
 
 
@@ -332,7 +332,7 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...], typed: Comma
                               typed.again("--holdout", "0.3")))
     trained = found.fit["train"]
     steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
-              for each in unmeasured_joints(found.problem.model.machine)]
+              for each in found.problem.model.machine.unmeasured_joints]
     balances = {each.name for each in found.problem.model.machine.balances}
     if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*trained}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))

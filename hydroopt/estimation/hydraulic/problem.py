@@ -21,7 +21,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant

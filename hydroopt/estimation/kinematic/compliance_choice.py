@@ -17,9 +17,9 @@ from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import JOINT
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses
+from hydroopt.machine.calibrated_numbers import standing_for
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.standing import standing_for
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array

@@ -168,6 +168,12 @@ class Observability:
         return np.linalg.qr(away)[0] if away.shape[1] else away
 
     @property
+    def identifiable(self) -> Array:
+        """(f, r) directions by the parameters, orthonormal in units of `scale`, that the data identify."""
+        hidden = self.null_space.shape[1]
+        return np.asarray(self.scale[:, None] * np.linalg.qr(self.null_space, mode="complete")[0][:, hidden:])
+
+    @property
     def rank(self) -> int:
         """Number of independent combinations that the data identify."""
         return len(self.names) - int(self.null_space.shape[1])

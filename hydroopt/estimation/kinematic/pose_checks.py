@@ -17,7 +17,7 @@ from hydroopt.estimation.kinematic.pose_layout import PoseLayout
 from hydroopt.estimation.kinematic.problem import UNFILLED, CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
-from hydroopt.machine.imus import ACCELEROMETER, Imu
+from hydroopt.machine.sensors import ACCELEROMETER, Imu
 from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 

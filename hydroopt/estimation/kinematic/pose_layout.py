@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.addresses import fixture_numbers
 from hydroopt.machine.calibration_chain import Fixture, Stage
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.simulation import postures
@@ -300,7 +299,7 @@ class LayoutBuilder:
     def _stands(self, fixture: Fixture, stage: str) -> list[int]:
         """Parameters that are a fixture's place in a stage."""
         owner = f"{fixture.name}.{stage}" if fixture.moves and stage else fixture.name
-        numbers = tuple(fixture_numbers(fixture))
+        numbers = self.machine.fixture_numbers(fixture)
         if f"{owner}.x" not in self.names:
             for number in numbers:
                 note = self.machine.notes.get(number.path)

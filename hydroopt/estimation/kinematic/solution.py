@@ -15,7 +15,7 @@ from hydroopt.estimation.kinematic.link_by_link import StageResult
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.pose_faults import Suspect
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.machine.flat_loops import closed_flat
+from hydroopt.machine.calibrated_numbers import closed_flat
 from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine

@@ -12,7 +12,7 @@ from hydroopt.errors import HydrooptError, SolverError
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.problem import Readings, SensorProblem, fit_motion
 from hydroopt.logs.recording import ChannelGroup, Recording
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
 from hydroopt.units import factor

@@ -27,7 +27,7 @@ from hydroopt.estimation.motion.banded import Bordered, Rows
 from hydroopt.estimation.motion.observations import PAST, WEIGHTS, Common, Observations, longest
 from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.machine.sensor import Lag
+from hydroopt.machine.sensors import Lag
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
 

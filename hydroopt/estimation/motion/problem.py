@@ -25,8 +25,8 @@ from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import Recording
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.notebook_card import Shown
 from hydroopt.spatial.inertia import Array

@@ -38,7 +38,7 @@ from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import recent_model
 from hydroopt.processes import pool
 from hydroopt.progress import Progress, silent

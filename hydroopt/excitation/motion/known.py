@@ -13,7 +13,7 @@ from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.estimation.inference.whitening import WIDEST, gaussian_posterior
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.log import Log
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model, model_of
 
 

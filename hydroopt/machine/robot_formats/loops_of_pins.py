@@ -9,9 +9,8 @@ import numpy as np
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.closures import closures
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Link
-from hydroopt.machine.loops import Loop
+from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, TreePin
 from hydroopt.spatial.inertia import Array

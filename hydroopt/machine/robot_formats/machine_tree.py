@@ -12,10 +12,9 @@ import numpy as np
 
 from hydroopt.machine.actuators import Cylinder, Drive, Motor, TorqueFriction
 from hydroopt.machine.closures import closures
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Body, JointFriction, Link
-from hydroopt.machine.loops import Loop
+from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, inverse, pose, shift, turn

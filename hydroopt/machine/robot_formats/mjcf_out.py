@@ -8,7 +8,7 @@ import numpy as np
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.loops import Coupling
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.robot_formats.bodies import central
 from hydroopt.machine.robot_formats.frames import to_quaternion

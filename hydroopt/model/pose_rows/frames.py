@@ -9,7 +9,7 @@ import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE
-from hydroopt.machine.targets import TIP
+from hydroopt.machine.survey import TIP
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 from hydroopt.spatial.rotation_vectors import rotation_of
 

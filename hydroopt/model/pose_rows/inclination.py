@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import casadi as ca
 
-from hydroopt.machine.imus import ACCELEROMETER, INCLINATION, Imu
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensors import ACCELEROMETER, INCLINATION, Imu
 from hydroopt.model.pose_rows.frames import Frames, PoseRows
 from hydroopt.spatial.poses import roll_pitch_yaw
 

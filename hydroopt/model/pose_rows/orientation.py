@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import casadi as ca
 
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.targets import TIP
+from hydroopt.machine.survey import TIP
 from hydroopt.model.pose_rows.frames import Frames, PoseRows
 from hydroopt.spatial.poses import roll_pitch_yaw
 from hydroopt.spatial.rotation_vectors import rotation_of, vector_of

@@ -13,7 +13,7 @@ from hydroopt.estimation.kinematic.residuals import chain_sides
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.report.calibration import render
 from hydroopt.simulation import postures

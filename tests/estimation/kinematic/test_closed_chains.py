@@ -18,11 +18,11 @@ from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import METHODS
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses, joined
-from hydroopt.machine.calibration_chain import Tracker
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 

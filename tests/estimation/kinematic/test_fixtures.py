@@ -18,7 +18,7 @@ from hydroopt.machine.calibration_chain import CLOSES, Fixture
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 from hydroopt.spatial.poses import roll_pitch_yaw
