@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
-from hydroopt.checks.alternatives import Alternative, Scaled, alternatives
+from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.checks.sensors import beyond_relief, held_sensors, scattering, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
@@ -186,7 +186,7 @@ def _clearer(made: Agreement, now: Agreement) -> bool:
 
 def _modest(one: Alternative) -> bool:
     """Whether another reading makes pressures so many times larger or smaller that a fault of the model may look so."""
-    return isinstance(one, Scaled) and is_force(one.channels[0]) and 1 / MODEST <= one.factor <= MODEST
+    return one.factor is not None and is_force(one.channels[0]) and 1 / MODEST <= one.factor <= MODEST
 
 
 def _forces_agree(made: Agreement, now: Agreement) -> bool:

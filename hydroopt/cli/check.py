@@ -43,7 +43,7 @@ def check(
     from hydroopt.checks.motion import check_motion
     from hydroopt.checks.postures import check_postures
     from hydroopt.estimation.dynamic.log_check import check_logs
-    from hydroopt.excitation.motion.known import identified
+    from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.logs.log_files import read_log
     from hydroopt.logs.poses import is_pose_table, read_poses
     from hydroopt.logs.stream import open_log

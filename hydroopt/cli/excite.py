@@ -81,8 +81,8 @@ def excite(
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.approach import start_of
-    from hydroopt.excitation.motion.design import at_pace, excitation_problem
-    from hydroopt.excitation.motion.known import identified
+    from hydroopt.excitation.motion.design import excitation_problem
+    from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
     from hydroopt.report import operator_sheet
@@ -114,7 +114,7 @@ def excite(
         motion = solve(problem, starts=starts, seed=run.seed, search_seconds=search_seconds,
                        processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
-        motion = at_pace(motion, pace)
+        motion = motion.at_pace(pace)
         if start:
             say("planning the approach", 0.8)
             motion = motion.approached_from(standing)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
-from hydroopt.estimation.motion.expected import DURATION, NAME, expected_calibration
+from hydroopt.estimation.motion.sensor_calibration import DURATION, NAME, expected_calibration
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loops import Coupling

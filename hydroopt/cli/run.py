@@ -149,7 +149,7 @@ class Run:
     def saved(self, answer: SomeAnswer, say: Progress = silent, files: Mapping[str, str | bytes | None] | None = None,
               **how: Any) -> SomeAnswer:
         """An answer with next steps that continue this command, saved with its page and other files."""
-        from hydroopt.results.command_line import CommandLine
+        from hydroopt.results.answer import CommandLine
         from hydroopt.viewing import page_of
 
         made = answer.typed(CommandLine(WORDS.get(), str(self.output)))

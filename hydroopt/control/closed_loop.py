@@ -12,7 +12,6 @@ from hydroopt.control.reference import Demands, offset
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.kernels.virtual_machine import OneSample
-from hydroopt.logs.sensors import measure, quantised
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -86,8 +85,8 @@ class Sensors:
             if sensor is not None and sensor.rate:  # one slower than the controller holds its last reading in between
                 self.every[k] = max(1, round(1 / (sensor.rate * period)))
             if sensor is not None and seed is not None:
-                self.noise[:, k] = measure(self.noise[:, k], sensor.accuracy, None, rng, sensor.distribution)
-                self.step[k] = sensor.resolution or 0.0
+                self.noise[:, k] = sensor.model_copy(update={"resolution": 0.0}).read(self.noise[:, k], rng)
+                self.step[k] = sensor.resolution
         self.stepped, self.always = np.flatnonzero(self.step), bool(np.all(self.every == 1))
         self.held = np.zeros(len(self.channels))
         lags = np.array([machine.lag(name).value for name in self.channels])
@@ -101,7 +100,8 @@ class Sensors:
             before = true if self.behind is None else self.behind
             true = self.behind = before + self.follows * (true - before)
         read = true + self.noise[k]
-        read[self.stepped] = quantised(read[self.stepped], self.step[self.stepped])
+        step = self.step[self.stepped]
+        read[self.stepped] = np.round(read[self.stepped] / step) * step
         self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, Literal, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
 from hydroopt.machine.quantity import (
@@ -106,6 +108,14 @@ class Sensor(Noun):
         """
         noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
         return math.hypot(noise, self.resolution / math.sqrt(12))
+
+    def read(self, true: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+        """Readings of true values (any shape), with noise, then in steps of the resolution."""
+        half = self.accuracy
+        noise = rng.uniform(-half, half, true.shape) if self.distribution == "uniform" else rng.normal(
+            0.0, half, true.shape)
+        read = true + noise
+        return np.round(read / self.resolution) * self.resolution if self.resolution > 0 else read
 
 
 GYROSCOPE = ("gyro_x", "gyro_y", "gyro_z")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import math
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
@@ -18,7 +20,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
-from hydroopt.results.command_line import CommandLine
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId, validated
@@ -51,6 +52,37 @@ KINDS = {
     "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK),
     "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK)}
 """Module and job of the class of each answer, which `load` makes again; a JSON file names the class."""
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """What was typed, from which next steps are made that can be copied.
+
+    Attributes:
+        words: of the command, without the program's name; empty where no command was typed, as in Python.
+        directory: that receives the answer; ``DIR`` where no command says so.
+
+    >>> typed = CommandLine(("identify", "cat215b", "my log.csv", "-o", "out"), "out")
+    >>> typed.again("--holdout", "0.3")
+    "hydroopt identify cat215b 'my log.csv' -o out --holdout 0.3"
+    >>> typed.path("poses.csv"), CommandLine().path(), CommandLine().again("--holdout", "0.3")
+    ('out/poses.csv', 'DIR', '')
+    """
+
+    words: tuple[str, ...] = ()
+    directory: str = "DIR"
+
+    def again(self, *more: str) -> str:
+        """The same command with more options; empty where none was typed."""
+        return shlex.join(("hydroopt", *self.words, *more)) if self.words else ""
+
+    def given(self, *options: str) -> bool:
+        """Whether one of the options was typed."""
+        return any(word.partition("=")[0] in options for word in self.words)
+
+    def path(self, *parts: str) -> str:
+        """A file of the answer, or its directory, quoted for a shell."""
+        return shlex.quote(str(Path(self.directory, *parts)))
 
 
 class Answer(Drawn, ABC):

@@ -33,6 +33,7 @@ from hydroopt.results.json_file import COMMON
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "data/mukca_panda_2"
@@ -52,7 +53,7 @@ def table(count: int, seed: int, scale: float = 0.3) -> Poses:
     geometry = model.parameters.nominal + scale * away * model.parameters.scale * np.array(
         ["cylinder" not in name for name in model.parameters.names])
     fixture = np.array(machine.fixtures[0].position)
-    q = [postures.random_postures(model, stage, count, geometry=geometry, fixture=fixture, seed=seed + k)
+    q = [closed_postures.random_postures(model, stage, count, geometry=geometry, fixture=fixture, seed=seed + k)
          for k, stage in enumerate(machine.stages)]
     stages = [stage.name for stage in machine.stages for _ in range(count)]
     return postures.record(model, np.concatenate(q), stages, ["ball"] * len(stages), geometry=geometry, seed=seed)

@@ -25,10 +25,10 @@ from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeome
 from hydroopt.estimation.combined.problem import CombinedProblem
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside, NumbersGiven
 from hydroopt.estimation.dynamic.identification import WITH_PRIORS
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside, NumbersGiven
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.inference.identifiability import FULL
@@ -38,11 +38,10 @@ from hydroopt.machine.calibrated_numbers import closed_flat, standing_for, with_
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, number
 from hydroopt.results.verdict import Purpose, Use, determined
 from hydroopt.spatial.inertia import Array
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.numbers_beside import Forces, Readings
+from hydroopt.estimation.dynamic.fitted_motion import Linear
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, shared_rows
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.kernels.expression_graph import program
@@ -62,11 +62,11 @@ class ForcesByGeometry:
         """The outputs of `function` at N samples of the motion, each (N, r, columns)."""
         return self._runner.over(self.function, *state)
 
-    def at(self, data: Experiment, psi: Array, g: Array) -> Forces:
+    def at(self, data: Experiment, psi: Array, g: Array) -> Linear:
         """The forces of an experiment, linearised about its motion, ψ (p,) and g (k,)."""
         force, by_q, by_qd, by_qdd, by_psi, by_g = self.over(*data.inputs(), psi, g)
         right = data.force - force[:, :, 0] + by_psi @ psi + by_g @ g
-        return Forces(np.array([by_q, by_qd, by_qdd]), by_psi, by_g, right)
+        return Linear([by_q, by_qd, by_qdd], np.concatenate([by_g, by_psi], axis=2), right)
 
 
 STAGE = "log"
@@ -179,20 +179,21 @@ class LogGeometry:
     def _joints(self) -> int:
         return len(self.postures.model.machine.joints)
 
-    def readings(self, q: Array) -> Readings:
+    def readings(self, q: Array) -> Linear:
         """The readings about a motion (N, n) and the present numbers."""
         rows = self._linearised(q)
         by_free = rows.jacobian[:, :, self.postures.free]
-        return Readings(rows.by_angles[:, :, : self._joints], by_free, by_free @ self.value - rows.residual)
+        return Linear([rows.by_angles[:, :, : self._joints]], by_free, by_free @ self.value - rows.residual)
 
-    def forces(self, data: Experiment, psi: Array) -> Forces:
+    def forces(self, data: Experiment, psi: Array) -> Linear:
         """The forces of an experiment about its motion, ψ (p,) and the present numbers."""
         geometry = len(self.postures.model.parameters)  # fixtures and locked joints come behind, and do not matter
         made = self.force.at(data, psi, self.theta[:geometry])
         every = np.zeros((*made.right.shape, len(self.theta)))
-        every[:, :, :geometry] = made.by_numbers
+        every[:, :, :geometry], by_psi = np.split(made.by_common, [geometry], axis=2)
         held = np.where(self.postures.free, 0.0, self.theta)
-        return made._replace(by_numbers=every[:, :, self.postures.free], right=made.right - every @ held)
+        by_common = np.concatenate([every[:, :, self.postures.free], by_psi], axis=2)
+        return made._replace(by_common=by_common, right=made.right - every @ held)
 
     def moved(self, before: Array, after: Array, value: Array) -> Self:
         """With other numbers (k,), when the motion (N, n) has moved along: the calibrator's joints follow."""

@@ -9,7 +9,9 @@ normal equations with a border give them as functions of the common unknowns; wi
 ``‖R·ψ − r‖²``, the information of angles and forces about the parameters, the uncertainty of the motion included. Every
 estimator, prior and constraint applies to it as it does after smoothing.
 
-Numbers of the geometry may be unknown along with ψ (`numbers_beside`): they are the first common unknowns.
+Numbers g beside ψ, such as those of the geometry, may be unknown, too (`NumbersBeside`). What all rows leave is then a
+triangle for [g, ψ]: its first rows give g where ψ is known, with the covariance that is left then (`NumbersGiven`); the
+others are the information about ψ alone, in which g may be whatever is most probable.
 """
 
 from __future__ import annotations
@@ -17,14 +19,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hydroopt.errors import SolverError
+from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside, NumbersGiven, Readings
 from hydroopt.estimation.inference.whitening import whitening
 from hydroopt.estimation.motion.banded import Bordered, Rows
 from hydroopt.estimation.motion.paths import Spline, Support, motion
@@ -39,6 +41,89 @@ KNOTS_PER_PERIOD = 2.0
 STEPS = 30
 CONVERGED = 1e-4
 """The fit has converged when a step moves the parameters by less than this part of their standard deviations."""
+SINGULAR = 1e-12
+"""Size of a diagonal entry, relative to its column, below which rows do not determine a number."""
+
+
+class Linear(NamedTuple):
+    """Readings of N samples, linearised: ``Σ_k by_motion[k]·δq⁽ᵏ⁾ + by_common·[g, ψ] = right``.
+
+    By positions, speeds and accelerations (·, N, m, n), as far as they depend on them; by the first common unknowns
+    (N, m, c); and (N, m).
+    """
+
+    by_motion: Sequence[Array]
+    by_common: Array
+    right: Array
+
+
+class NumbersBeside(Protocol):
+    """Numbers g (k,) beside ψ, at some values, and the readings of one experiment that depend on them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the numbers."""
+
+    @property
+    def value(self) -> Array:
+        """(k,) the numbers [SI]."""
+
+    @property
+    def known(self) -> Array:
+        """Rows (·, k+1) of [g, right side] with what is known beside the experiments, errors of size one."""
+
+    @property
+    def unread(self) -> NDArray[np.bool_]:
+        """(n,) True for joints of the machine whose position no channel reads itself."""
+
+    def readings(self, q: Array) -> Linear:
+        """The readings about a motion (N, n) and the present numbers, with independent errors of size one."""
+
+    def forces(self, data: Experiment, psi: Array) -> Linear:
+        """The forces of an experiment about its motion, ψ (p,) and the present numbers."""
+
+    def moved(self, before: Array, after: Array, value: Array) -> Self:
+        """With other numbers (k,), when the motion (N, n) has moved along."""
+
+
+@dataclass(frozen=True, eq=False)
+class NumbersGiven:
+    """Numbers g (k,) for given ψ: ``root·g + by_psi·ψ = right`` with independent errors of size one."""
+
+    names: tuple[str, ...]
+    root: Array
+    by_psi: Array
+    right: Array
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], rows: Array, where: str) -> NumbersGiven:
+        """From the first rows (k, k+p+1) of a triangle.
+
+        Raises:
+            IdentifiabilityError: they do not determine all numbers.
+        """
+        k = len(names)
+        weak = np.abs(np.diag(rows)) <= SINGULAR * np.max(np.abs(rows[:, :k]), axis=0, initial=0.0)
+        if np.any(weak):
+            raise IdentifiabilityError(f"nothing determines {', '.join(np.array(names)[weak])}", where=where,
+                                       remedy="state how far it may be off, or fix it")
+        return cls(names, rows[:, :k], rows[:, k:-1], rows[:, -1])
+
+    def at(self, psi: Array) -> Array:
+        """The most probable numbers (k,) or (N, k) for parameters ψ (p,) or (N, p)."""
+        left = self.right - psi @ self.by_psi.T
+        return np.asarray(np.linalg.solve(self.root, left.T).T)
+
+    @property
+    def slope(self) -> Array:
+        """(k, p) how the most probable numbers change with ψ."""
+        return np.asarray(-np.linalg.solve(self.root, self.by_psi))
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k) of the numbers where ψ is known."""
+        inverse = np.linalg.inv(self.root)
+        return np.asarray(inverse @ inverse.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +140,12 @@ class Stretch:
         path = Spline.over(t[span], round(float(t[span][-1] - t[span][0]) / spacing), joints)
         return cls(span, path, path.support(t[span]))
 
-    def rows(self, left: Array, by_motion: Sequence[Array], by_common: Array) -> Rows:
-        """Residuals of m readings at each sample (N, m), linearised; by orders of the motion (N, m, n)."""
-        return Rows(left, self.support.along(by_motion), by_common, self.support.first * by_motion[0].shape[2])
+    def rows(self, read: Linear, common: int) -> Rows:
+        """What was read along it, of all samples' readings, with so many common unknowns."""
+        own = read.by_common[self.span]
+        by_common = np.concatenate([own, np.zeros((*own.shape[:2], common - own.shape[2]))], axis=2)
+        return Rows(read.right[self.span], self.support.along([each[self.span] for each in read.by_motion]), by_common,
+                    self.support.first * self.path.coefficients.shape[1])
 
 
 class Elimination(NamedTuple):
@@ -100,7 +188,7 @@ class Fitted:
         stretches = tuple(Stretch.over(log.t, slice(a, b), spacing, angles.shape[1])
                           for a, b in pairwise(edges))
         start = cls(data, angles, sigma, stiffness, stretches)
-        start = start._along([start._stretch(stretch, None, None) for stretch in stretches], np.zeros(0))
+        start = start._along(start._eliminated([start._angles(0 * angles)]), np.zeros(0))
         return replace(start, beside=beside, sigma=sigma if beside is None else np.where(beside.unread, np.inf, sigma))
 
     @property
@@ -140,28 +228,35 @@ class Fitted:
             replace(stretch, path=stretch.path.moved(part * one.equations.inner(common).reshape(shape)))
             for stretch, one in zip(self.stretches, eliminated, strict=True)))
 
+    def _angles(self, q: Array) -> Linear:
+        """The readings of the angles about a motion (N, n)."""
+        by_q = np.tile(np.diag(1 / self.sigma), (len(q), 1, 1))
+        return Linear([by_q], np.zeros((*q.shape, 0)), (self.angles - q) / self.sigma)
+
     def eliminated(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Elimination]:
         """Eliminate the motion from rows linearised at ψ, whose forces err by `covariance` (n, n) over `weights`."""
         data = self.experiment
-        forces = ForceRows.linearised(model, data, psi, covariance, weights, self.beside)
-        readings = None if self.beside is None else self.beside.readings(data.motion.q)
-        return [self._stretch(stretch, forces, readings) for stretch in self.stretches]
+        if self.beside is None:
+            (K, *_), force = data.equations(psi)
+            forces = Linear(model.over(model.force_by_motion, *data.inputs(), psi), K, force)
+        else:
+            forces = self.beside.forces(data, psi)
+        white = whitening(data.known, covariance)
+        if weights is not None:
+            white = white * np.sqrt(weights)[:, None, :]
+        right = white @ np.where(data.known, forces.right, 0.0)[:, :, None]
+        read = [self._angles(data.motion.q),
+                Linear([white @ by for by in forces.by_motion], white @ forces.by_common, right[:, :, 0])]
+        return self._eliminated(read if self.beside is None else [*read, self.beside.readings(data.motion.q)])
 
-    def _stretch(self, stretch: Stretch, forces: ForceRows | None, readings: Readings | None) -> Elimination:
-        n, p = self.angles.shape[1], 0 if forces is None else forces.by_common.shape[2]
-        path, span = stretch.path, stretch.span
-        angles = self.angles[span]
-        by_position = np.tile(np.diag(1 / self.sigma), (len(angles), 1, 1))
-        blocks = [path.jerk(self.stiffness, p), stretch.rows(
-            (angles - motion(path, stretch.support)[0]) / self.sigma, [by_position], np.zeros((*angles.shape, p)))]
-        if forces is not None:
-            blocks.append(stretch.rows(forces.left[span], list(forces.by_motion[:, span]), forces.by_common[span]))
-        if readings is not None:
-            by_numbers = readings.by_numbers[span]
-            by_common = np.concatenate([by_numbers, np.zeros((*by_numbers.shape[:2], p - by_numbers.shape[2]))], axis=2)
-            blocks.append(stretch.rows(readings.right[span], [readings.by_q[span]], by_common))
-        equations = Bordered.of(blocks, path.coefficients.size, path.width * n, p)
-        return Elimination(equations, triangle(*map(equations.projected, blocks)))
+    def _eliminated(self, read: Sequence[Linear]) -> list[Elimination]:
+        found, common = [], max(each.by_common.shape[2] for each in read)
+        for stretch in self.stretches:
+            path = stretch.path
+            blocks = [path.jerk(self.stiffness, common), *(stretch.rows(each, common) for each in read)]
+            equations = Bordered.of(blocks, path.coefficients.size, path.width * path.coefficients.shape[1], common)
+            found.append(Elimination(equations, triangle(*map(equations.projected, blocks))))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,31 +282,6 @@ class FittedMotion:
     def experiments(self, psi: Array) -> tuple[Experiment, ...]:
         """The experiments with these motions."""
         return tuple(one.experiment for one in self.motion(psi))
-
-
-class ForceRows(NamedTuple):
-    """Forces of an experiment, linearised in motion and common unknowns: residuals (N, n) of independent errors of size
-    one at no common unknowns, (3, N, n, n) by q, qd and qdd, and (N, n, p)."""
-
-    left: Array
-    by_motion: Array
-    by_common: Array
-
-    @classmethod
-    def linearised(cls, model: Model, data: Experiment, psi: Array, covariance: Array,
-                   weights: Array | None, beside: NumbersBeside | None) -> ForceRows:
-        """At the experiment's motion, at ψ and at the numbers beside it: ``by_motion·δ + by_common·[g, ψ] = left``."""
-        if beside is None:
-            by_motion = np.array(model.over(model.force_by_motion, *data.inputs(), psi))
-            (by_common, *_), right = data.equations(psi)
-        else:
-            by_motion, by_psi, by_numbers, right = beside.forces(data, psi)
-            by_common = np.concatenate([by_numbers, by_psi], axis=2)
-        white = whitening(data.known, covariance)
-        if weights is not None:
-            white = white * np.sqrt(weights)[:, None, :]
-        left = white @ np.where(data.known, right, 0.0)[:, :, None]
-        return cls(left[:, :, 0], white @ by_motion, white @ by_common)
 
 
 def initial_guess(model: Model, experiments: Sequence[Experiment],
@@ -240,7 +310,7 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
     part, last = 1.0, np.inf
     for _ in range(STEPS):
         eliminated = [one.eliminated(model, psi, covariance, None if weights is None else weights[k])
-                  for k, one in enumerate(fitted)]
+                      for k, one in enumerate(fitted)]
         whole = _joined([each for some in eliminated for each in some], fitted[0].beside)
         numbers = None if fitted[0].beside is None else NumbersGiven.of(
             fitted[0].beside.names, whole[: len(fitted[0].numbers)], where)

@@ -11,8 +11,8 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside
 from hydroopt.estimation.dynamic.instruments import instrument
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals

@@ -19,7 +19,7 @@ from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
-from hydroopt.results.command_line import CommandLine
+from hydroopt.results.answer import CommandLine
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import percentage, readable

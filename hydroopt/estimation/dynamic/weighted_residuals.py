@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, Literal, Protocol, Self, TypeVar
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, LogError
+from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.fitted_motion import FittedMotion, NumbersBeside
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.holds import Holds
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.regressor_qr import (
     CompressedRegressor,
     compress,
@@ -37,9 +38,6 @@ from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
-
-if TYPE_CHECKING:
-    from hydroopt.estimation.dynamic.fitted_motion import FittedMotion
 
 Loss = Literal["squares", "huber", "student_t"]
 HUBER = 1.345
@@ -234,8 +232,6 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        from hydroopt.estimation.dynamic import fitted_motion  # noqa: PLC0415 — loaded when it is used
-
         fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded, problem.beside),
                                 _covariance(correlation, sigma), weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi

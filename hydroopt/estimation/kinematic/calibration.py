@@ -50,13 +50,12 @@ from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
-from hydroopt.results.tables import csv_text, number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
 from hydroopt.spatial.inertia import Array
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
@@ -31,7 +31,6 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
-from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.interrupt import deferred
 from hydroopt.limits.limits import Limits
@@ -177,32 +176,6 @@ def _least_smoothed(found: Sequence[Excitation]) -> Excitation:
     first = found[0]
     biased = len(found) > 1 and (error(first) == np.inf or np.any(first.accuracy.bias > first.accuracy.base))
     return min(found, key=error) if biased else first
-
-
-def at_pace(found: Excitation, pace: float) -> Excitation:
-    """The same path, driven at a part of its pace; made smaller where slower motion asks for more, as of pressures.
-
-    Raises:
-        ProblemError: the pace is not above 0 and at most 1, or passive joints swing beyond limits.
-
-    Example:
-        >>> import hydroopt as ho
-        >>> from hydroopt.excitation.motion.basis import Fourier
-        >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
-        >>> motion = ho.solve(problem, starts=1, search_seconds=0.5)
-        >>> slow = at_pace(motion, 0.5)
-        >>> slow.problem.basis.duration, min(use.room for use in slow.limits) >= 0
-        (20.0, True)
-    """
-    if not 0 < pace <= 1:
-        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its pace", where="--speed",
-                           remedy="give more than 0 and at most 100 %, such as 50 %")
-    if pace == 1:
-        return found
-    own = found.problem
-    problem = ExcitationProblem(own.information, own.limits, Slowed(own.basis, pace), own.rate, own.resting, own.inputs)
-    rest = resting_posture(problem, np.random.default_rng(found.seed))
-    return replace(found, problem=problem, x=shrunk(problem, found.x, rest)).within_limits(rest)
 
 
 @dataclass(frozen=True)

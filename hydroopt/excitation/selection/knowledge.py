@@ -26,9 +26,9 @@ from hydroopt.excitation.selection.measurements import Measurement
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.answer import Answer, load
-from hydroopt.results.covariance_file import COVARIANCE, read_covariance
 from hydroopt.results.json_file import Job
 from hydroopt.results.status import Status
+from hydroopt.results.tables import COVARIANCE, read_covariance
 from hydroopt.spatial.inertia import Array
 
 

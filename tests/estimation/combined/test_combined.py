@@ -92,7 +92,7 @@ def test_readings_are_derived_as_by_finite_differences(swing: str, machine: Mach
     assert np.any(beside.postures.layout.moving) == (swing == "moving")
     q = joints[:, :3]
     made = beside.readings(q)
-    left = made.right - made.by_numbers @ beside.value
+    left = made.right - made.by_common @ beside.value
     assert np.max(np.abs(left)) < 1e-6  # in standard deviations
     rng = np.random.default_rng(0)
     step_q, step = 1e-6 * rng.standard_normal(q.shape), 1e-6 * rng.standard_normal(len(beside.names))
@@ -100,9 +100,9 @@ def test_readings_are_derived_as_by_finite_differences(swing: str, machine: Mach
     def residual(sign: float) -> Array:
         moved = replace(beside, theta=beside.theta + sign * step)
         again = moved.readings(q + sign * step_q)
-        return again.right - again.by_numbers @ moved.value
+        return again.right - again.by_common @ moved.value
 
-    expected = -(np.einsum("nmj,nj->nm", made.by_q, step_q) + made.by_numbers @ step)
+    expected = -(np.einsum("nmj,nj->nm", made.by_motion[0], step_q) + made.by_common @ step)
     np.testing.assert_allclose((residual(1.0) - residual(-1.0)) / 2, expected, atol=1e-4 * np.max(np.abs(expected)))
 
 
@@ -125,9 +125,9 @@ def test_forces_are_derived_as_by_finite_differences(machine: Machine, truth: di
             state = (data.motion.q, data.motion.qd, data.motion.qdd)
             off.append(other.over(other.inverse_dynamics, *state, truth["psi"])[0][:, :, 0])
         slope = (off[0] - off[1]) / 2e-4
-        np.testing.assert_allclose(made.by_numbers[:, :, k], slope, atol=1e-5 * np.max(np.abs(slope)) + 1e-4,
+        np.testing.assert_allclose(made.by_common[:, :, k], slope, atol=1e-5 * np.max(np.abs(slope)) + 1e-4,
                                    err_msg=names[k])
-    assert not np.any(made.by_numbers[:, :, count:])
+    assert not np.any(made.by_common[:, :, count:len(names)])
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from hydroopt.machine.sensors import Sensor
 from hydroopt.machine.survey import Tracker
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 PER_STAGE = 40
 
@@ -47,7 +48,7 @@ def model(machine: Machine) -> KinematicModel:
 def closed(machine: Machine, model: KinematicModel) -> tuple[np.ndarray, list[str]]:
     """Joint vectors of closed chains, and their stages."""
     at = np.array(machine.fixtures[0].position)
-    q = [postures.random_postures(model, stage, PER_STAGE, geometry=model.parameters.nominal, fixture=at, seed=k)
+    q = [closed_postures.random_postures(model, stage, PER_STAGE, geometry=model.parameters.nominal, fixture=at, seed=k)
          for k, stage in enumerate(machine.stages)]
     return np.concatenate(q), [stage.name for stage in machine.stages for _ in range(PER_STAGE)]
 
@@ -268,7 +269,7 @@ def test_drift_is_found_and_would_hurt(model: KinematicModel, machine: Machine) 
     fixture, geometry = np.array(machine.fixtures[0].position), model.parameters.nominal
     q, labels, crept = [], [], 0.0
     for k, stage in enumerate(machine.stages):
-        part = postures.random_postures(model, stage, PER_STAGE, geometry=geometry, fixture=fixture, seed=k)
+        part = closed_postures.random_postures(model, stage, PER_STAGE, geometry=geometry, fixture=fixture, seed=k)
         if "stick" in stage.locked:
             part[:, model.joints.index("stick")] += crept + np.radians(0.3) * np.linspace(0, 1, len(part))
             crept += np.radians(0.3)
@@ -592,9 +593,9 @@ def test_play_in_a_joint_is_named(model: KinematicModel, machine: Machine) -> No
     """The forearm's resolver lags by 1.5° on the side from which it comes."""
     stage, fixture = machine.stages[0], np.array(machine.fixtures[0].position)
     path = np.radians(90 + 40 * np.sin(np.linspace(0, 6 * np.pi, 90)))[:, None]
-    q = postures.sweep(model, stage, path, geometry=model.parameters.nominal, fixture=fixture)
-    rest = [postures.random_postures(model, s, PER_STAGE, geometry=model.parameters.nominal, fixture=fixture, seed=k)
-            for k, s in enumerate(machine.stages[1:])]
+    q = closed_postures.sweep(model, stage, path, geometry=model.parameters.nominal, fixture=fixture)
+    rest = [closed_postures.random_postures(model, s, PER_STAGE, geometry=model.parameters.nominal, fixture=fixture,
+                                            seed=k) for k, s in enumerate(machine.stages[1:])]
     labels = [stage.name] * len(q) + [s.name for s in machine.stages[1:] for _ in range(PER_STAGE)]
     poses = read(model, (np.concatenate([q, *rest]), labels), 0)
     forearm = poses.channels["forearm.q"]

@@ -16,6 +16,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 from tests.fixtures.surveyed import measured, surveyed, truth
 
 
@@ -24,7 +25,7 @@ def calibrator(priors: bool = True, wild: float = 0.0) -> CalibrationProblem:
     machine = load_machine("cat215b")
     model = KinematicModel(machine)
     nominal, at = model.parameters.nominal, machine.fixtures[0].position
-    q = np.concatenate([postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
+    q = np.concatenate([closed_postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
                         for k, stage in enumerate(machine.stages)])
     read = postures.record(model, q, [stage.name for stage in machine.stages for _ in range(30)], ["ball"] * len(q),
                            geometry=nominal, seed=1)

@@ -14,6 +14,7 @@ from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 CAT = load_machine("cat215b")
 MUKCA = Path(__file__).parents[3] / "data/mukca_panda_2"
@@ -29,7 +30,7 @@ def measured(seed: int) -> Poses:
     geometry = model.parameters.nominal + away * model.parameters.scale * np.array(
         [information > 0 for information in model.parameters.information.diagonal()])
     fixture = np.array(CAT.fixtures[0].position)
-    q = [postures.random_postures(model, stage, COUNT, geometry=geometry, fixture=fixture, seed=seed + k)
+    q = [closed_postures.random_postures(model, stage, COUNT, geometry=geometry, fixture=fixture, seed=seed + k)
          for k, stage in enumerate(CAT.stages)]
     stages = [stage.name for stage in CAT.stages for _ in range(COUNT)]
     return postures.record(model, np.concatenate(q), stages, ["ball"] * len(stages), geometry=geometry, seed=seed,

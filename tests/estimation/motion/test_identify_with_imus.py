@@ -75,7 +75,7 @@ def test_motion_is_fitted_once_whatever_bodies_and_friction_are(monkeypatch: pyt
     machine = arm(stick_exact=True)
     log, count = simulated(machine, 5, duration=6.0)[1], []
     fit = misread.examined_fit
-    monkeypatch.setattr(misread, "examined_fit", lambda problem: count.append(problem) or fit(problem))
+    monkeypatch.setattr(module, "examined_fit", lambda problem: count.append(problem) or fit(problem))
     first, again = (module.sensed(each, log) for each in (machine, machine.with_values({"boom.m": 310.0})))
     np.testing.assert_array_equal(first.motion.q, again.motion.q)
     assert len(count) == 1
