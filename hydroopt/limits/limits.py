@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.limits.parts import (
     Part,
@@ -180,6 +181,10 @@ class Limits:
         """By how much (N, m) values (N, m) exceed their bounds: at most zero if satisfied, infinite if not a number."""
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
+
+    def names(self, rows: NDArray[np.bool_]) -> list[str]:
+        """Names of some rows (m,), each once."""
+        return list(dict.fromkeys(self.rows[k].name for k in np.flatnonzero(rows)))
 
     def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Mean (m,) of expressions that are linear in ψ, and by how much each of them exceeds it at most (m,)."""
