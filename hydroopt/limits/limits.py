@@ -367,7 +367,7 @@ def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
     """Forces (a,) of all actuators in the model's coordinates."""
     dynamics = model.dynamics
     made = dynamics.forces if model.machine.one_each else dynamics.actuator_forces
-    return made(psi, actuator_inertia=model.actuator_inertia)
+    return made(psi)
 
 
 def _varies(value: ca.SX, q: ca.SX) -> bool:
