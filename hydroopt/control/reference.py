@@ -14,7 +14,7 @@ from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.model.flow_demand import TOLERANCE, demanded_flow
+from hydroopt.model.hydraulics import TOLERANCE, demanded_flow
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory, forces

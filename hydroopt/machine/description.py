@@ -11,7 +11,7 @@ from typing import Any, Self
 from pydantic import Field
 
 from hydroopt.machine import addresses
-from hydroopt.machine.actuators import Actuator, Cylinder, Drive, Motor, Pinned
+from hydroopt.machine.actuators import Actuator, Cylinder, CylinderFriction, Drive, Motor, Pinned
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.balances import Balance, UnmeasuredJoint, balance, entangled, matched
 from hydroopt.machine.calibration_chain import Fixture
@@ -267,7 +267,8 @@ class MachineDescription(Parts):
         rotary: tuple[Motor | Drive, ...] = (*self.motors, *self.drives)
         moved = next((part.joint for part in rotary if part.name == owner), owner)
         links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
-        slides = any(link.name == moved and link.joint.type == "prismatic" for link in links)
+        slides = isinstance(node, CylinderFriction) or any(
+            link.name == moved and link.joint.type == "prismatic" for link in links)
         return mark.sliding if slides else mark.si
 
     @property

@@ -8,10 +8,8 @@ are eliminated; their positions are measured.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
-
-from pydantic import model_validator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from hydroopt.machine.quantity import AngularSpeed, ImpossibleError, JointAcceleration, Noun, Position
 
@@ -49,13 +47,10 @@ class FreeLink(Noun):
     roll: Coordinate | None = None
     """Turn about x, third."""
 
-    @model_validator(mode="after")
-    def _moves(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not self.model_fields_set:
-            raise ImpossibleError("no coordinate is stated",
+            yield ImpossibleError("no coordinate is stated",
                                   "state some, such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
-        return self
-
 
 AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
 """Coordinates in the order of their joints, and the axis of each."""
