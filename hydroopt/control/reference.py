@@ -14,12 +14,14 @@ from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.model.hydraulics import TOLERANCE, demanded_flow
+from hydroopt.model.hydraulics import demanded_flow
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory, forces
 from hydroopt.spatial.inertia import Array
 
+TOLERANCE = 1e-3
+"""Part of the pump's flow by which a motion may exceed it: interpolation between its samples."""
 SPARE = 0.02
 """Part of the pump's flow that is reserved for leaks in a steady motion."""
 

@@ -31,12 +31,28 @@ CHECK_VALVE_SUCTION = 5e4
 """Pressure below the tank's [Pa] at which an anticavitation check valve passes that flow; at most one atmosphere."""
 RELIEF_ROUNDING = 0.02
 """Part of these pressures over which the opening of such a valve is rounded."""
-TOLERANCE = 1e-3
-"""Part of the pump's flow by which a motion that is to be followed may exceed it: the effect of
-interpolation between the samples of a designed motion."""
 
 Value = Callable[[str], ca.SX | float]
 """Function from the key of a number in the machine file, such as `dead_band`, to its value or symbol."""
+
+
+def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
+    """Flows [m³/s] that chambers a and b take at a speed [m/s or rad/s]: numbers, arrays or symbols."""
+    a, b = actuator.areas
+    return a * speed, -b * speed
+
+
+def demanded_flow(machine: Machine, speed: Array) -> Array:
+    """Flow (N,) [m³/s] that the actuators demand of the pump at their speeds (N, a) [m/s or rad/s].
+
+    Example:
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> machine = load_machine("cat215b")
+        >>> (6e4 * demanded_flow(machine, np.array([[0.0, 0.1, 0.0]]))).round(1)
+        array([123.1])
+    """
+    hydraulic = [(k, each) for k, each in enumerate(machine.actuators) if isinstance(each, Cylinder | Motor)]
+    return np.asarray(sum(np.maximum(*chamber_flows(each, speed[:, k])) for k, each in hydraulic))
 
 
 def hinge(x: ca.SX, width: ca.SX | float) -> ca.SX:
@@ -233,22 +249,3 @@ def pump_flow(most: float, set_pressure: ca.SX, pressure: ca.SX) -> ca.SX:
     """
     part = (set_pressure - pressure) / (CUT_OFF * set_pressure)
     return most * (hinge(part, CORNER) - hinge(part - 1, CORNER))
-
-
-def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
-    """Flows [m³/s] that chambers a and b take at a speed [m/s or rad/s]: numbers, arrays or symbols."""
-    a, b = actuator.areas
-    return a * speed, -b * speed
-
-
-def demanded_flow(machine: Machine, speed: Array) -> Array:
-    """Flow (N,) [m³/s] that the actuators demand of the pump at their speeds (N, a) [m/s or rad/s].
-
-    Example:
-        >>> from hydroopt.machine.machine_file import load_machine
-        >>> machine = load_machine("cat215b")
-        >>> (6e4 * demanded_flow(machine, np.array([[0.0, 0.1, 0.0]]))).round(1)
-        array([123.1])
-    """
-    hydraulic = [(k, each) for k, each in enumerate(machine.actuators) if isinstance(each, Cylinder | Motor)]
-    return np.asarray(sum(np.maximum(*chamber_flows(each, speed[:, k])) for k, each in hydraulic))
