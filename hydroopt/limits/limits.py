@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.limits.parts import (
     Part,
@@ -28,9 +29,8 @@ from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
-from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.hanging import Hanging
-from hydroopt.model.hydraulics import ActuatorHydraulics
+from hydroopt.model.hydraulics import ActuatorHydraulics, chamber_flows
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
@@ -182,6 +182,10 @@ class Limits:
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
+    def names(self, rows: NDArray[np.bool_]) -> list[str]:
+        """Names of some rows (m,), each once."""
+        return list(dict.fromkeys(self.rows[k].name for k in np.flatnonzero(rows)))
+
     def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Mean (m,) of expressions that are linear in ψ, and by how much each of them exceeds it at most (m,)."""
         mean, std = self.known.of(value, self._psi)
@@ -233,7 +237,7 @@ class Limits:
         for k, actuator in enumerate(model.machine.actuators):
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
-                    unit = model.machine.effort_units(actuator.joint)[0]
+                    unit = model.machine.effort_unit(actuator.joint)
                     self._add(f"{actuator.name} torque", unit, force[k] + more[k], upper=kept * most, scale=most)
                     self._add(f"{actuator.name} torque", unit, force[k] - more[k], lower=-kept * most, scale=most)
                 continue
@@ -360,7 +364,7 @@ class Limits:
         for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
                                       hanging.tolerance if hanging.joints else (), strict=True):
             name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most,
+            self._add(f"{name} out of balance", self.model.machine.effort_unit(name), value, -most, most,
                       passive=True)
 
 
@@ -368,7 +372,7 @@ def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
     """Forces (a,) of all actuators in the model's coordinates."""
     dynamics = model.dynamics
     made = dynamics.forces if model.machine.one_each else dynamics.actuator_forces
-    return made(psi, actuator_inertia=model.actuator_inertia)
+    return made(psi)
 
 
 def _varies(value: ca.SX, q: ca.SX) -> bool:

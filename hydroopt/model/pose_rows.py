@@ -1,6 +1,7 @@
-"""What instruments, tapes, datums and inclinometers read at a pose, as rows that compare a measurement with it.
+"""What instruments, tapes, datums and sensors read at a pose, as rows of a kinematic calibration.
 
-Where targets and instruments are, `Frames` gives; a new kind of measurement is one more function of these.
+Each kind of measurement has one function that gives its rows where a sensor is stated for it, and its inputs of a pose,
+if it has any, in `inputs`. Where targets and instruments are, `Frames` gives.
 """
 
 from __future__ import annotations
@@ -95,40 +96,46 @@ def inputs(machine: Machine) -> dict[str, int]:
     """What the rows need of each pose, with its size: where an instrument stands of which the file does not say it,
     (6,) position and rotation vector; readings that rows take; and biases of accelerometers."""
     moving = {f"{instrument.name}.pose": 6 for instrument in machine.instruments if not instrument.stands}
-    turns = {f"{name}.turn": 3 for name, _, _ in _measured_turns(machine)}
-    angles = {f"{imu.name}.inclination": len(_angles(machine, imu)) for imu in machine.imus if _angles(machine, imu)}
+    turns = {f"{name}.turn": 3 for name, _, _ in _turned(machine)}
+    inclined = {f"{imu.name}.inclination": len(_inclined(machine, imu)) for imu in machine.imus
+                if _inclined(machine, imu)}
     biases = {f"{imu.name}.bias": 3 for imu in machine.imus if imu.accelerometer}
-    return moving | turns | angles | biases | dict.fromkeys(_followers(machine), 1)
+    return moving | turns | inclined | biases | dict.fromkeys(_following(machine), 1)
 
 
 def measurements(frames: Frames) -> tuple[PoseRows, ...]:
-    """The rows of all measurements that a sensor is stated for."""
+    """The rows of all measurements that a sensor is stated for, beside joints, loops, cylinders and the tracked tip."""
     kinds = (_positions, _orientations, _datum_offsets, _distances, _inclinations, _dependent_positions)
     return tuple(rows for kind in kinds for rows in kind(frames))
 
 
+def _sensed(machine: Machine, *channels: str) -> bool:
+    return any(machine.sensor(channel) for channel in channels)
+
+
+def _pairs(machine: Machine) -> list[tuple[str, str]]:
+    return [(instrument.name, target) for instrument in machine.instruments for target in machine.target_names]
+
+
 def _positions(frames: Frames) -> Iterator[PoseRows]:
     """Rᵀ·(p − o): a target at p as an instrument sees it that stands at o, turned by R."""
-    machine = frames.geometry.machine
-    for instrument in machine.instruments:
-        for target in machine.target_names:
-            channels = tuple(f"{instrument.name}.{target}.{axis}" for axis in "xyz")
-            if any(machine.sensor(channel) for channel in channels):
-                seen = frames.instrument(instrument.name).inverse() @ frames.target(target)
-                yield PoseRows(f"{instrument.name}.{target}", channels, "m", ca.SX(seen.origin))
+    for instrument, target in _pairs(frames.geometry.machine):
+        channels = tuple(f"{instrument}.{target}.{axis}" for axis in "xyz")
+        if _sensed(frames.geometry.machine, *channels):
+            seen = frames.instrument(instrument).inverse() @ frames.target(target)
+            yield PoseRows(f"{instrument}.{target}", channels, "m", ca.SX(seen.origin))
 
 
-def _turns(name: str) -> tuple[str, ...]:
+def _rotation_vector(name: str) -> tuple[str, ...]:
     """Channels of an orientation as a rotation vector [rad]."""
     return tuple(f"{name}.{axis}" for axis in ("rx", "ry", "rz"))
 
 
-def _measured_turns(machine: Machine) -> Iterator[tuple[str, str, str]]:
+def _turned(machine: Machine) -> Iterator[tuple[str, str, str]]:
     """What channels begin with, instrument and target of the orientations that a sensor is stated for."""
-    pairs = [(f"{instrument.name}.{target}", instrument.name, target)
-             for instrument in machine.instruments for target in machine.target_names]
+    pairs = [(f"{instrument}.{target}", instrument, target) for instrument, target in _pairs(machine)]
     for name, instrument, target in [*pairs, *([(TIP, TRACKER, TIP)] if machine.tracker else [])]:
-        if any(machine.sensor(channel) for channel in _turns(name)):
+        if _sensed(machine, *_rotation_vector(name)):
             yield name, instrument, target
 
 
@@ -136,11 +143,11 @@ def _orientations(frames: Frames) -> Iterator[PoseRows]:
     """log(Mᵀ·Rᵀ·T): the turn, about the target's own axes, from a reading M to a target turned by T as an instrument
     sees it that is turned by R. With M = 1 it is what the instrument reads."""
     geometry = frames.geometry
-    for name, instrument, target in _measured_turns(geometry.machine):
+    for name, instrument, target in _turned(geometry.machine):
         turn = (roll_pitch_yaw(geometry.turn(TRACKER)) if instrument == TRACKER and name == TIP
                 else frames.instrument(instrument).rotation)
         reading = rotation_of(frames.inputs[f"{name}.turn"])
-        yield PoseRows(f"{name}.turn", _turns(name), "rad",
+        yield PoseRows(f"{name}.turn", _rotation_vector(name), "rad",
                        ca.SX(vector_of(reading.T @ turn.T @ frames.target(target).rotation)), f"{name}.turn")
 
 
@@ -150,7 +157,7 @@ def _datum_offsets(frames: Frames) -> Iterator[PoseRows]:
     for datum in machine.datums:
         for target in machine.target_names:
             channels = tuple(f"{datum.name}.{target}.{axis}" for axis in datum.axes)
-            if any(machine.sensor(channel) for channel in channels):
+            if _sensed(machine, *channels):
                 seen = (frames.datum(datum.name).inverse() @ frames.target(target)).origin
                 yield PoseRows(f"{datum.name}.{target}", channels, "m",
                                ca.SX(ca.vertcat(*(seen["xyz".index(axis)] for axis in datum.axes))))
@@ -161,44 +168,43 @@ def _distances(frames: Frames) -> Iterator[PoseRows]:
     machine = frames.geometry.machine
     for distance in machine.distances:
         channel = f"{distance.name}.length"
-        if distance.measured and machine.sensor(channel):
+        if distance.measured and _sensed(machine, channel):
             one, other = (frames.target(name).origin for name in distance.between)
             yield PoseRows(channel, (channel,), "m", ca.SX(ca.sqrt(ca.sumsqr(one - other) + TINY**2)))
 
 
-def _angles(machine: Machine, imu: Imu) -> tuple[str, ...]:
+def _inclined(machine: Machine, imu: Imu) -> tuple[str, ...]:
     """Channels of a unit's roll and pitch [rad] that a sensor is stated for."""
-    names = (f"{imu.name}.{angle}" for angle in INCLINATION)
-    return tuple(name for name in names if machine.sensor(name))
+    return tuple(name for angle in INCLINATION if _sensed(machine, name := f"{imu.name}.{angle}"))
 
 
 def _inclinations(frames: Frames) -> Iterator[PoseRows]:
-    """Roll and pitch of a unit's axes less those that it reads, within half a turn; and g·Rᵀ·up + bias."""
+    """Roll and pitch of a unit's axes less those that it reads, within half a turn; and g·Rᵀ·up + bias, what it feels
+    at rest."""
     machine = frames.geometry.machine
     up = roll_pitch_yaw(machine.orientation).T @ ca.DM([0.0, 0.0, 1.0])
     for imu in machine.imus:
         turn = frames.link(imu.link).rotation @ roll_pitch_yaw(frames.geometry.turn(imu.name))
         x, y, z = ca.vertsplit(ca.SX(turn.T @ up))
-        if channels := _angles(machine, imu):
+        if channels := _inclined(machine, imu):
             both = {"roll": ca.atan2(y, z), "pitch": ca.atan2(-x, ca.sqrt(y**2 + z**2))}
-            off = ca.vertcat(*(both[name.rpartition(".")[2]] for name in channels)) - frames.inputs[
-                f"{imu.name}.inclination"]
-            yield PoseRows(f"{imu.name}.inclination", channels, "rad", ca.atan2(ca.sin(off), ca.cos(off)),
-                           f"{imu.name}.inclination")
+            name = f"{imu.name}.inclination"
+            off = ca.vertcat(*(both[each.rpartition(".")[2]] for each in channels)) - frames.inputs[name]
+            yield PoseRows(name, channels, "rad", ca.atan2(ca.sin(off), ca.cos(off)), name)
         if imu.accelerometer:
             yield PoseRows(f"{imu.name}.accel", tuple(f"{imu.name}.{axis}" for axis in ACCELEROMETER), "m/s^2",
                            machine.gravity * ca.vertcat(x, y, z) + frames.inputs[f"{imu.name}.bias"])
 
 
-def _followers(machine: Machine) -> tuple[str, ...]:
-    """Channels of the dependent joints that a sensor is stated for."""
-    return tuple(f"{joint}.q" for joint in machine.dependent_joints if machine.sensor(f"{joint}.q"))
+def _following(machine: Machine) -> tuple[str, ...]:
+    """Channels of the dependent joints that a sensor is stated for, such as that of a linkage's rocker."""
+    return tuple(f"{joint}.q" for joint in machine.dependent_joints if _sensed(machine, f"{joint}.q"))
 
 
 def _dependent_positions(frames: Frames) -> Iterator[PoseRows]:
     """Position of a dependent joint less its reading [rad or m]; of one that turns within half a turn."""
     machine = frames.geometry.machine
-    for channel in _followers(machine):
+    for channel in _following(machine):
         joint, unit = channel.removesuffix(".q"), machine.channel_units[channel]
         off = ca.SX(frames.joints[joint] - frames.inputs[channel])
         yield PoseRows(channel, (channel,), unit, ca.atan2(ca.sin(off), ca.cos(off)) if unit == "rad" else off, channel)

@@ -26,8 +26,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.model.flow_demand import chamber_flows
-from hydroopt.model.hydraulics import ActuatorHydraulics, spool_position
+from hydroopt.model.hydraulics import ActuatorHydraulics, chamber_flows, spool_position
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.drive_valves import arrived
 from hydroopt.spatial.inertia import Array
