@@ -237,7 +237,7 @@ class Limits:
         for k, actuator in enumerate(model.machine.actuators):
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
-                    unit = model.machine.effort_units(actuator.joint)[0]
+                    unit = model.machine.effort_unit(actuator.joint)
                     self._add(f"{actuator.name} torque", unit, force[k] + more[k], upper=kept * most, scale=most)
                     self._add(f"{actuator.name} torque", unit, force[k] - more[k], lower=-kept * most, scale=most)
                 continue
@@ -364,7 +364,7 @@ class Limits:
         for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
                                       hanging.tolerance if hanging.joints else (), strict=True):
             name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most,
+            self._add(f"{name} out of balance", self.model.machine.effort_unit(name), value, -most, most,
                       passive=True)
 
 
