@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.limits.parts import (
     Part,
@@ -181,6 +182,10 @@ class Limits:
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
+    def names(self, rows: NDArray[np.bool_]) -> list[str]:
+        """Names of some rows (m,), each once."""
+        return list(dict.fromkeys(self.rows[k].name for k in np.flatnonzero(rows)))
+
     def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Mean (m,) of expressions that are linear in ψ, and by how much each of them exceeds it at most (m,)."""
         mean, std = self.known.of(value, self._psi)
@@ -232,7 +237,7 @@ class Limits:
         for k, actuator in enumerate(model.machine.actuators):
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
-                    unit = model.machine.effort_units(actuator.joint)[0]
+                    unit = model.machine.effort_unit(actuator.joint)
                     self._add(f"{actuator.name} torque", unit, force[k] + more[k], upper=kept * most, scale=most)
                     self._add(f"{actuator.name} torque", unit, force[k] - more[k], lower=-kept * most, scale=most)
                 continue
@@ -359,7 +364,7 @@ class Limits:
         for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
                                       hanging.tolerance if hanging.joints else (), strict=True):
             name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most,
+            self._add(f"{name} out of balance", self.model.machine.effort_unit(name), value, -most, most,
                       passive=True)
 
 
