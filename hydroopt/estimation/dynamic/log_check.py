@@ -17,6 +17,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.training_logs import FORCE_NOT_MEASURED, forces_not_measured
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, Identifiability
+from hydroopt.estimation.inference.least_squares import deviations
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
@@ -105,14 +106,8 @@ class LogCheck(Answer):
     @cached_property
     def std(self) -> Array:
         """Standard deviations (p,) to expect, by the logs and the machine file's confidences; infinite without both."""
-        parameters, R = self.problem.parameters, self.rough.weighted_residuals.R
-        rows = np.vstack([R, self.problem.square_rows[0]]) * parameters.scale
-        _, values, axes = np.linalg.svd(rows, full_matrices=False)
-        kept = values > 1e-9 * values[0]
-        with np.errstate(divide="ignore"):
-            spread = np.linalg.norm(axes[kept] / values[kept, None], axis=0)
-        lost = np.max(np.abs(axes[~kept]), axis=0, initial=0.0) > 1e-6
-        return np.asarray(parameters.scale * np.where(lost, np.inf, spread))
+        rows = np.vstack([self.rough.weighted_residuals.R, self.problem.square_rows[0]])
+        return deviations(rows, self.problem.parameters.scale)
 
     @cached_property
     def parameters(self) -> ParameterTable:
