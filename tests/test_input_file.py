@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from hydroopt.errors import LONGEST, HydrooptError, LogError, MachineError, ProblemError
-from hydroopt.input_file import read_bytes, read_json, read_text, similar, toml
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import ColumnMap, LogMap, read_map
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.results.answer import load
+from hydroopt.support.input_file import read_bytes, read_json, read_text, similar, toml
 
 
 @pytest.mark.parametrize("read", [

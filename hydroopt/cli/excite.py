@@ -83,11 +83,11 @@ def excite(
     from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import excitation_problem
     from hydroopt.excitation.motion.expected_accuracy import identified
-    from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
     from hydroopt.report.excitation import render_sheet
     from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
+    from hydroopt.support.files import refuse_places
     from hydroopt.units import to_si
 
     if pieces is not None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hydroopt.cli import options
 from hydroopt.cli.terminal import WORDS, echo
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.progress import Progress, silent
+from hydroopt.support.progress import Progress, silent
 
 if TYPE_CHECKING:
     from hydroopt.limits.reserves import Reserves

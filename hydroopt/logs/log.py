@@ -19,7 +19,7 @@ from hydroopt.logs.stamps import of_datetimes
 from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
 from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.notebook_card import Card, Shown
+from hydroopt.support.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
     import pandas as pd

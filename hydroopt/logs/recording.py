@@ -13,7 +13,7 @@ from hydroopt.logs import quality
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
-from hydroopt.notebook_card import Shown
+from hydroopt.support.notebook_card import Shown
 
 Array = NDArray[np.float64]
 

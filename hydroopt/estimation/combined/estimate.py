@@ -40,13 +40,13 @@ from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
-from hydroopt.notebook_card import Shown
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import COVARIANCE, covariance_csv, number
 from hydroopt.results.verdict import Purpose, Use, determined
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,9 +35,9 @@ from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model, recent_model
-from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,11 +28,11 @@ from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Readi
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
-from hydroopt.progress import Progress, silent
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 Chosen = NDArray[np.bool_]
 """Which of R readings are taken in which of N candidate postures, (N, R)."""
@@ -266,7 +266,7 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
         problem: what may be read, and how well the tip is to be known.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, or no choice reaches the accuracy.

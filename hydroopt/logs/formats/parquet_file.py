@@ -22,7 +22,7 @@ from hydroopt.logs.table import (
     selected,
     unreadable,
 )
-from hydroopt.packages import needed
+from hydroopt.support.packages import needed
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
