@@ -16,20 +16,6 @@ if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
     from hydroopt.results.answer import Answer
 
-PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
-         "CombinedEstimate": ("hydroopt.report.identification", "render"),
-         "Calibration": ("hydroopt.report.calibration", "render"),
-         "SensorCalibration": ("hydroopt.report.sensors", "render"),
-         "HydraulicEstimate": ("hydroopt.report.valves", "render"),
-         "Excitation": ("hydroopt.report.excitation", "render"),
-         "PosePlan": ("hydroopt.report.pose_plan", "render"), "MeasureUpPlan": ("hydroopt.report.pose_plan", "render"),
-         "CalibratorDesign": ("hydroopt.report.calibrator", "render"),
-         "WhatNext": ("hydroopt.report.what_next", "render"),
-         "SessionComparison": ("hydroopt.report.sessions", "render_comparison"),
-         "Payload": ("hydroopt.report.sessions", "render_payload"),
-         "Weighing": ("hydroopt.report.weighing", "render"),
-         "Comparison": ("hydroopt.report.closed_loop", "render")}
-"""Module and name of what writes the page of each answer."""
 VIEW = "view.html"
 TALL = 900
 """Name of the file of a view, and its height in a notebook [px]."""
@@ -98,11 +84,10 @@ def view(shown: Any) -> View:
 
 def page_of(answer: Answer) -> str | None:
     """The page of an answer that was just computed; None of a job without a page of its own."""
-    for kind in type(answer).__mro__:
-        if place := PAGES.get(kind.__name__):
-            page: str = getattr(import_module(place[0]), place[1])(answer)
-            return page
-    return None
+    from hydroopt.results.answer import KINDS  # noqa: PLC0415
+
+    module, _, function = KINDS[type(answer).__name__][2].partition(".")
+    return getattr(import_module(f"hydroopt.report.{module}"), function)(answer) if module else None
 
 
 def _of_machine(machine: Machine, answer: Answer | None = None) -> View:

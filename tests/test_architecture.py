@@ -14,8 +14,8 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "memory", "progress"),
-    ("extras", "processes"),
-    ("input_file", "files", "units", "notebook_card", "versions"),
+    ("packages", "processes"),
+    ("input_file", "files", "units", "notebook_card"),
     ("cache",),
     ("spatial",),
     ("kernels",),

@@ -132,7 +132,7 @@ app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from hydroopt.versions import version
+        from hydroopt.packages import version
 
         echo(f"hydroopt {version()}")
         raise typer.Exit

@@ -85,7 +85,7 @@ def excite(
     from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.files import refuse_places
     from hydroopt.logs.stream import open_log
-    from hydroopt.report import operator_sheet
+    from hydroopt.report.excitation import render_sheet
     from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
     from hydroopt.units import to_si
@@ -122,7 +122,7 @@ def excite(
         code = Code(described, origin, routines=["excitation"],
                     designed_motion=DesignedMotion(motion.function, motion.problem.basis.duration))
         written = {f"c/{name}": text for name, text in code.files_for(run.output / "c").items()}
-        motion = run.saved(motion, say, {"sheet.html": operator_sheet.render(motion), **written}, parquet=parquet)
+        motion = run.saved(motion, say, {"sheet.html": render_sheet(motion), **written}, parquet=parquet)
     run.show(motion)
 
 

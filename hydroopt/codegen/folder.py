@@ -29,9 +29,9 @@ from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.machine.machine import Machine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.plant import Plant
+from hydroopt.packages import version
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
-from hydroopt.versions import version
 from hydroopt.weighing.scale import Scale
 from hydroopt.weighing.weighing import NEEDED
 

@@ -19,7 +19,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.joint_from_length import joint_from_length
-from hydroopt.model.joints_from_several_lengths import back
+from hydroopt.model.joints_from_readings import back
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.load_sharing import lever_arms
 from hydroopt.spatial.inertia import Array
@@ -193,7 +193,7 @@ def _reduced_regressor(api: Symbols) -> Routine:
         "K", "row for each {row}, column for each parameter", "reduced", unit="N or N*m per unit of psi"))
     psi = api.inputs["psi"][list(api.complete.parameters.select(api.reduced.parameters.names))]
     return Routine("reduced_regressor", "Regressor of the reduced model, without barrels and rods.", api.motion(),
-                   ("q", "qd", "qdd"), gives, {"K": api.dynamics.regressor(psi, actuator_inertia=False)},
+                   ("q", "qd", "qdd"), gives, {"K": api.dynamics.without_actuator_inertia().regressor(psi)},
                    api.guards(levers=True, gas=True), api.lengths)
 
 

@@ -14,12 +14,14 @@ from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.model.flow_demand import TOLERANCE, demanded_flow
+from hydroopt.model.hydraulics import demanded_flow
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory, forces
 from hydroopt.spatial.inertia import Array
 
+TOLERANCE = 1e-3
+"""Part of the pump's flow by which a motion may exceed it: interpolation between its samples."""
 SPARE = 0.02
 """Part of the pump's flow that is reserved for leaks in a steady motion."""
 
@@ -166,7 +168,7 @@ class Demands:
         k, i = divmod(int(np.argmax(beyond)), len(a))
         if beyond[k, i] >= 0:
             actuator = self.plant.actuators[i].actuator
-            unit = "N" if isinstance(actuator, Cylinder) else self.plant.machine.effort_units(actuator.joint)[0]
+            unit = "N" if isinstance(actuator, Cylinder) else self.plant.machine.effort_unit(actuator.joint)
             raise ProblemError(
                 f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {unit} of '{actuator.name}', which "
                 f"{pump / 1e5:.0f} bar cannot produce", where="--motion",

@@ -246,7 +246,7 @@ class Information:
         self.model, self.parameters, self.criterion = model, parameters, criterion
         states, scale = model.coordinates, parameters.weight[:, None] * parameters.scale
         columns = parameters.columns.tolist()
-        K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
+        K = model.dynamics.regressor()[:, columns] * ca.DM(scale)
         exact = program(ca.Function("base_regressor", [*states], [K]))
         self.regressor, self.smooth = exact.function(), exact.function(_smooth_sign)
         K = self.smooth(*states)

@@ -207,7 +207,8 @@ def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> c
         return library
 
     try:
-        return _kept(cache.folder(key.hexdigest()[:2]), key.hexdigest()[:32], compiled)
+        return cache.kept(key.hexdigest()[:2], key.hexdigest()[:32], ".so", compiled,
+                          lambda library: ctypes.CDLL(str(library)))
     except OSError as error:
         notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
                "folder to which you alone can write")
@@ -233,22 +234,3 @@ def _refuse_broken(library: Path) -> None:
     load = [sys.executable, "-I", "-S", "-c", "import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)]
     if subprocess.run(load, capture_output=True, timeout=PROBING, check=False).returncode:
         raise OSError("the compiler wrote what cannot be loaded")
-
-
-def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:
-    """The library of this key in a folder that only this user can write; what is there but not whole is made anew.
-
-    The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
-    """
-    names = [name for name in os.listdir(folder) if name.startswith(f"{key}-") and name.endswith(".so")]
-    for entry in sorted(folder / name for name in names):  # pathlib's glob takes ten times as long
-        with suppress(OSError):
-            if hashlib.sha256(cache.read(entry)).hexdigest()[:32] == entry.stem.partition("-")[2]:
-                return ctypes.CDLL(str(entry))
-        with suppress(FileNotFoundError):  # another process found it first
-            entry.unlink()
-    with cache.scratch(folder) as place:
-        built = compiled(place)
-        built.chmod(0o700)  # whatever the umask: only this user may write it
-        digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
-        return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))

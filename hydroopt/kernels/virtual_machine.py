@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 
 import casadi as ca
@@ -32,13 +33,15 @@ def simplified(function: ca.Function) -> ca.Function:
     how = Path(__file__).with_name("expression_graph.py").read_bytes()
     for part in (function.serialize().encode(), how, ca.__version__.encode()):
         key.update(hashlib.sha256(part).digest())
-    name = f"{key.hexdigest()[:32]}.function"
-    kept = cache.kept(name)
-    if kept is not None:
-        return ca.Function.deserialize(kept.decode())
-    made = program(function).function()
-    cache.keep(name, made.serialize().encode())
-    return made
+
+    def simple(place: Path) -> Path:
+        (place / "function").write_text(program(function).function().serialize())
+        return place / "function"
+
+    with suppress(OSError):
+        return cache.kept("", key.hexdigest()[:32], ".function", simple,
+                          lambda file: ca.Function.deserialize(file.read_text()))
+    return program(function).function()
 
 
 class OneSample:

@@ -8,10 +8,8 @@ are eliminated; their positions are measured.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
-
-from pydantic import model_validator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from hydroopt.machine.quantity import AngularSpeed, ImpossibleError, JointAcceleration, Noun, Position
 
@@ -49,13 +47,10 @@ class FreeLink(Noun):
     roll: Coordinate | None = None
     """Turn about x, third."""
 
-    @model_validator(mode="after")
-    def _moves(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not self.model_fields_set:
-            raise ImpossibleError("no coordinate is stated",
+            yield ImpossibleError("no coordinate is stated",
                                   "state some, such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
-        return self
-
 
 AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
 """Coordinates in the order of their joints, and the axis of each."""
@@ -130,13 +125,9 @@ def expand_base(data: dict[str, Any]) -> dict[str, str]:
     return {f"links[base_{key}].joint": f"base_motion.{key}" for key in moving}
 
 
-def _on_chassis(data: Mapping[str, Any]) -> None:
+def _on_chassis(node: Any) -> None:
     """Attach to the chassis what the file attaches to the base."""
-    held = [(link, "parent") for link in data["links"]]
-    held += [(part[end], "link") for kind in ("cylinders", "gas_cylinders", "springs") for part in data.get(kind, [])
-             for end in ("barrel", "rod")]
-    held += [(table, "link") for loop in data.get("loops", []) for table in (loop, loop["to"])]
-    held += [(part, "link") for kind in ("obstacles", "imus", "targets", "instruments") for part in data.get(kind, [])]
-    for table, key in held:
-        if table.get(key) == "base":
-            table[key] = CHASSIS
+    if isinstance(node, dict):
+        node |= {key: CHASSIS for key in ("link", "parent") if node.get(key) == "base"}
+    for inner in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        _on_chassis(inner)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from collections.abc import Iterator
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position, Ratio
 
@@ -42,12 +43,10 @@ class Loop(Noun):
     """In which of several ways the loop is assembled: positions of the joints that it follows, and roughly where
     dependent joints stand then."""
 
-    @model_validator(mode="after")
-    def _rod_has_a_length(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if (self.closed_by == "rod") != (self.length is not None):
-            raise ImpossibleError("a rod has a length, a pin or ball has none",
+            yield ImpossibleError("a rod has a length, a pin or ball has none",
                                   "state 'closed_by = \"rod\"' with its 'length', or neither", "length")
-        return self
 
     @property
     def equations(self) -> int:

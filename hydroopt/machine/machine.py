@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
+from itertools import chain
 from typing import Any, Self
 
 from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
@@ -23,7 +24,7 @@ from hydroopt.machine.quantity import ImpossibleError, Noun, quantity_of, with_l
 from hydroopt.machine.sensors import INCLINATION, Imu, Sensor
 from hydroopt.machine.survey import TIP
 from hydroopt.notebook_card import Card, CardTable, Drawn
-from hydroopt.units import same_kind
+from hydroopt.units import UnitError, to_si
 
 __all__ = ["BASE", "Machine"]
 
@@ -61,12 +62,9 @@ class Machine(Drawn, MachineDescription):
         facts = {"description": self.description} if self.description else {}
         return Card(repr(self), facts, [CardTable(("link", "joint", "range", "moved by"), rows, noun="links")])
 
-    @model_validator(mode="after")
-    def _invariants(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         kinds = (self._names, self._references, self._tree, self._actuation, self._seen, self._masses, self._bounds)
-        for mistake in (mistake for kind in kinds for mistake in kind()):
-            raise mistake
-        return self
+        return chain.from_iterable(kind() for kind in kinds)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -75,9 +73,11 @@ class Machine(Drawn, MachineDescription):
         machine = handler(data)
         from_file = bool((info.context or {}).get("from_file"))
         for where, text, si in machine._units_stated(machine, data, "", ""):
-            if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
-                raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which its joint or valve calls for",
-                                      f"use '{si}' or another unit of that kind", where)
+            try:
+                _ = isinstance(text, str) and to_si(text, si, where=where)
+            except UnitError as error:
+                raise ImpossibleError(f"{error.what} (its joint, channel or valve calls for {si})", error.remedy,
+                                      where) from None
             if from_file and si != "1" and isinstance(text, int | float):
                 raise ImpossibleError(f"{text:.9g} has no unit", f"write it as {with_likely_units(text, si)}", where)
         return machine
@@ -113,7 +113,8 @@ class Machine(Drawn, MachineDescription):
         """What names a link that does not exist."""
         links = [link.name for link in self.links]
         fixed, own = [BASE, *links], [link.name for link in (self.calibrator.links if self.calibrator else ())]
-        a_link, anywhere = "name a link or the base", f"use one of {', '.join((*fixed, *own))}, or none for the ground"
+        seen, a_link = [BASE, *links, *own], "name a link or the base"  # instruments see the calibrator, too
+        anywhere = f"use one of {', '.join(seen)}, or none for the ground"
         rows: list[tuple[str, str, Collection[str], str, str]] = [
             *((f"link '{each.name}' is attached to", each.parent, fixed, f"name '{BASE}' or another link as its parent",
                "") for each in self.links),
@@ -122,13 +123,12 @@ class Machine(Drawn, MachineDescription):
             *((f"the loop '{each.name}' closes over", each.to.link, fixed, "name a link", each.place)
               for each in self.loops),
             *((f"the {end} of '{each.name}' is pinned to", getattr(each, end).link, fixed, a_link, "")
-              for each in self.pinned for end in ("barrel", "rod")),
-            *((f"the {kind} '{each.name}' is attached to", each.link or BASE, [*fixed, *own], anywhere,
-               f"{kind}s[{each.name}].link")
-              for kind, parts in (("target", self.targets), ("instrument", self.instruments)) for each in parts),
-            *((f"the IMU '{each.name}' is attached to", each.link, fixed, a_link, f"imus[{each.name}].link")
-              for each in self.imus),
-            *((f"the obstacle '{each.name}' is attached to", each.link, fixed, a_link, "") for each in self.obstacles)]
+              for each in self.pinned for end in ("barrel", "rod"))]
+        for key, parts in self.parts.items():
+            rests = key in ("targets", "instruments")
+            rows += [(f"'{each.name}' is attached to", each.link or BASE, seen if rests else fixed,
+                      anywhere if rests else a_link, f"{key}[{each.name}].link")
+                     for each in parts if key != "loops" and hasattr(each, "link")]
         if self.calibrator:
             rows.append(("the calibrator is attached to", self.calibrator.parent, links,
                          "name the link that carries it", "calibrator.parent"))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator
 from difflib import get_close_matches
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field
 
 from hydroopt.machine.quantity import (
     CHANNEL_UNITS,
@@ -24,9 +24,8 @@ from hydroopt.machine.quantity import (
     Name,
     Noun,
     Number,
-    Quantity,
     Rate,
-    keyed,
+    Reading,
 )
 
 LAGGING = ("q", "qd", "qdd", "length", "tau", "force", "p_head", "p_rod", "p_a", "p_b", "roll", "pitch",
@@ -48,9 +47,9 @@ class Sensor(Noun):
 
     channels: tuple[str, ...] = Field(min_length=1)
     """Channels, all of one unit."""
-    accuracy: float = Field(ge=0, allow_inf_nan=False)
+    accuracy: Reading = Field(ge=0)
     """Bound of a uniform error, or standard deviation of a Gaussian one, in the channels' unit."""
-    resolution: float = Field(0.0, ge=0, allow_inf_nan=False)
+    resolution: Reading = Field(0.0, ge=0)
     """Step of the reading, in the channels' unit."""
     rate: Rate | None = Field(None, gt=0)
     """Samples per second."""
@@ -59,46 +58,21 @@ class Sensor(Noun):
     distribution: Literal["uniform", "gaussian"] = "uniform"
     """Distribution of the error."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _units(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, Mapping) or not isinstance(data.get("channels"), list | tuple) or not data["channels"]:
-            return data
-        data = dict(data)
-        for key in ("accuracy", "resolution"):
-            if key in data:
-                data[key] = cls._reading(data[key], data["channels"], info, key)
-        return data
-
-    @staticmethod
-    def _reading(value: Any, channels: Any, info: ValidationInfo, key: str) -> Any:
-        names = [str(channel) for channel in channels]
-        kinds = {CHANNEL_UNITS.get(name.rpartition(".")[2], ()) for name in names}
-        if unknown := [name for name in names if name.rpartition(".")[2] not in CHANNEL_UNITS]:
-            part, _, quantity = unknown[0].rpartition(".")
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        endings = {channel: channel.rpartition(".")[2] for channel in self.channels}
+        if unknown := next((name for name, ending in endings.items() if ending not in CHANNEL_UNITS), None):
+            part, _, quantity = unknown.rpartition(".")
             close = get_close_matches(quantity, CHANNEL_UNITS, 1)
-            raise ImpossibleError(f"'{unknown[0]}' is the name of no channel", f"did you mean '{part}.{close[0]}'"
+            yield ImpossibleError(f"'{unknown}' is the name of no channel", f"did you mean '{part}.{close[0]}'"
                                   if close else "write a part and a quantity, as 'boom.q' or 'boom_cylinder.p_head'",
                                   "channels")
-        if len(kinds) > 1:
-            raise ImpossibleError(f"the channels {', '.join(names)} have no unit in common",
+        if len({CHANNEL_UNITS[ending] for ending in endings.values()}) > 1:
+            yield ImpossibleError(f"the channels {', '.join(self.channels)} have no unit in common",
                                   "state angles, lengths and pressures in a [[sensors]] entry each", "channels")
-        problem: ImpossibleError | None = None
-        for si in kinds.pop():
-            try:
-                return keyed(Quantity(si), value, info, key)
-            except ImpossibleError as error:
-                problem = problem or error
-        assert problem is not None
-        raise problem
-
-    @model_validator(mode="after")
-    def _can_lag(self) -> Self:
         idle = [channel for channel in self.channels if channel.rpartition(".")[2] not in LAGGING]
         if self.lag and idle:
-            raise ImpossibleError(f"a lag of '{idle[0]}' has no meaning here",
+            yield ImpossibleError(f"a lag of '{idle[0]}' has no meaning here",
                                   f"state it for channels that end in .{', .'.join(LAGGING)}", "lag")
-        return self
 
     @property
     def std(self) -> float:

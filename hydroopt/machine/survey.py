@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from collections.abc import Iterator
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
 
@@ -65,17 +66,14 @@ class Instrument(Noun):
         """Its stated orientation [rad]."""
         return self.orientation or (0.0, 0.0, 0.0)
 
-    @model_validator(mode="after")
-    def _stated(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.orientation is not None and self.position is None:
-            raise ImpossibleError(f"'{self.name}' states its orientation, but not its position",
+            yield ImpossibleError(f"'{self.name}' states its orientation, but not its position",
                                   "state both, or neither if they are not known", "orientation")
         if abs(self.turn[1]) > TURNED_UP:
-            raise ImpossibleError(f"'{self.name}' is pitched by {math.degrees(self.turn[1]):.0f} deg, where roll and "
+            yield ImpossibleError(f"'{self.name}' is pitched by {math.degrees(self.turn[1]):.0f} deg, where roll and "
                                   "yaw are the same turn", "leave out its position and orientation: they are estimated",
                                   "orientation")
-        return self
-
 
 ACROSS = {"plane": ("z",), "line": ("y", "z")}
 """Along which axes of its frame a datum tells where a target is."""

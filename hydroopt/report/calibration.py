@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
 from hydroopt.report.charts import Chart, Curves, Field, Line, TimeChart
-from hydroopt.report.correlation_map import correlation_map
+from hydroopt.report.drawing import LETTER
 from hydroopt.report.numbers import NONE, plain, unit_text
-from hydroopt.report.page import document
+from hydroopt.report.page import document, fragment
 from hydroopt.report.panels import NUMBERS, with_unit
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView, base_point
 from hydroopt.report.tables import by_owner
+from hydroopt.results.diagnostic import listed
 from hydroopt.results.status import Status
+from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.calibration import Calibration
@@ -38,6 +42,13 @@ FIXTURES = 12
 """Fixtures that the machine in space shows."""
 FLAT = 1e-6
 """Width of a view, relative to its length, from which on it is drawn."""
+CELL, LEAST_CELL, LEAST_WRITTEN, SIDE = 30.0, 15.0, 24.0, 720.0
+"""Largest and smallest side of a cell, that from which on its number is written, and that of the whole map from which
+on cells shrink [px]."""
+FAINT, WRITTEN = 0.02, 0.3
+"""Magnitudes from which on a cell is coloured, and its number written."""
+NAMED = 3
+"""Pairs that the description names."""
 
 
 def render(c: Calibration) -> str:
@@ -196,3 +207,32 @@ def _correlations(c: Calibration) -> Markup:
     covariance = c.observability.covariance[np.ix_(which, which)]
     std = np.sqrt(np.diag(covariance))
     return correlation_map([c.observability.names[k] for k in which], covariance / np.outer(std, std))
+
+
+def correlation_map(names: Sequence[str], correlation: Array) -> Markup:
+    """An ``<svg>`` element of the correlations (n, n) below the diagonal; one colour a sign, fainter near zero.
+
+    >>> import numpy as np
+    >>> shown = correlation_map(["boom.a", "ball.x"], np.array([[1.0, -0.9], [-0.9, 1.0]]))
+    >>> "Correlations of 2 parameters. Most correlated: boom.a and ball.x by −.90." in shown
+    True
+    """
+    cell = max(LEAST_CELL, min(CELL, SIDE / len(names)))
+    margin = LETTER * max(map(len, names)) + 12
+    cells = [{"r": r, "x": margin + j * cell, "y": i * cell, "pair": f"{names[i]}, {names[j]}", "shown": _written(r),
+              "written": abs(r) > WRITTEN and cell > LEAST_WRITTEN}
+             for j, i in combinations(range(len(names)), 2) if abs(r := float(correlation[i, j])) > FAINT]
+    return fragment("correlations.svg", names=names, cells=cells, cell=cell, margin=margin,
+                    side=margin + len(names) * cell + LETTER, said=_description(names, correlation))
+
+
+def _description(names: Sequence[str], correlation: Array) -> str:
+    """The map in words: the pairs that are separated worst."""
+    pairs = sorted(combinations(range(len(names)), 2), key=lambda pair: -abs(correlation[pair]))
+    worst = [f"{names[i]} and {names[j]} by {_written(float(correlation[i, j]))}"
+             for i, j in pairs[:NAMED]]
+    return f"Correlations of {len(names)} parameters. Most correlated: {listed(worst)}."
+
+
+def _written(r: float) -> str:
+    return f"{r:+.2f}".replace("-", "−").replace("+0.", "+.").replace("−0.", "−.")

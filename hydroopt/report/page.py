@@ -32,13 +32,12 @@ SCRIPTS = ("core", "kinematics", "scene", "charts", "tables", "start")
 
 
 class Drawn(NamedTuple):
-    """A figure as templates show it: its place among the page's charts, and what remains where no script runs."""
+    """A figure as templates show it: its place among the page's charts, and what stands there where no script runs."""
 
     place: int
     kind: str
     title: str
     alt: str
-    static: Markup | None
     tall: int
 
 
@@ -73,8 +72,14 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
     environment.filters["prose"] = prose
     environment.filters["words"] = words
+    environment.filters["px"] = lambda value: f"{value:.1f}".removesuffix(".0")
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
     return environment
+
+
+def fragment(template: str, **content: Any) -> Markup:
+    """A part of a page, such as a drawing."""
+    return Markup(_environment().get_template(template).render(**content))
 
 
 def document(template: str, *, answer: Answer | None = None, samples: Samples | None = None,
@@ -134,7 +139,6 @@ def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:
     lines = isinstance(chart, TimeChart | Curves)
     alt = figures.described(chart, samples) if isinstance(chart, TimeChart | Curves) else getattr(chart, "alt", "")
     return Drawn(index, chart.kind, chart.title, alt or chart.title,
-                 figures.static(chart, samples) if isinstance(chart, TimeChart | Curves) else None,
                  170 if lines else 300 if isinstance(chart, HeatMap | Field) else 230)
 
 

@@ -70,7 +70,7 @@ def _tints(rows: Sequence[Quantity]) -> tuple[Tint, ...]:
 
 def _row(one: Quantity, reach: float) -> dict[str, Any]:
     shown = quantity(one.value, one.std, one.ci95)
-    return {"figure": spread(one.value, one.ci95, reach, unit_text(one.unit), striking=False),
+    return {"figure": spread(one.value, one.ci95, reach, unit_text(one.unit)),
             "name": one.name, "unit": unit_text(one.unit), "value": shown.value, "std": shown.std,
             "interval": shown.interval}
 

@@ -98,31 +98,29 @@ def interval(one: ParameterRow) -> Markup:
     if one.value is None or one.nominal is None or one.ci95 is None or not size:
         return Markup("")
     change, low, high = ((x - one.nominal) / size for x in (one.value, *one.ci95))
-    x, a, b = (_place(value) for value in (change, low, high))
     of = "prior standard deviations" if one.prior_std else "standard deviations of its own, without a prior"
     said = f"changed by {plain(change, 2)}, 95 % interval {plain(low, 2)} to {plain(high, 2)} {of}"
-    prior = (f'<rect class="prior" x="{_place(-PRIOR):.1f}" y="2" width="{2 * PRIOR * WIDE / (2 * REACH):.1f}" '
-             f'height="{TALL - 4}"/>') if one.prior_std else ""
-    middle = TALL / 2
-    together = "" if one.identifiability == "full" else " together"
-    dot = (f'<circle class="value{together}" cx="{x:.1f}" cy="{middle:.0f}" r="{ROUND}"/>' if abs(change) <= REACH else
-           f'<path class="value{together}" d="M{x:.1f} {middle - 4:.0f}v8l{5 if change > 0 else -5} -4z"/>')
-    return Markup(f'<svg class="interval" viewBox="0 0 {WIDE} {TALL}" role="img" aria-label="{said}">{prior}'
-                  f'<line class="zero" x1="{WIDE / 2:.0f}" x2="{WIDE / 2:.0f}" y1="0" y2="{TALL}"/>'
-                  f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle:.0f}" y2="{middle:.0f}"/>{dot}</svg>')
+    return _drawn(said, change, low, high, prior=bool(one.prior_std), together=one.identifiability != "full")
 
 
-def spread(value: float, ci95: tuple[float, float], reach: float, unit: str, *, striking: bool = False) -> Markup:
+def spread(value: float, ci95: tuple[float, float], reach: float, unit: str) -> Markup:
     """A value [`unit`] with its 95 % interval about zero, on an axis to ±`reach`; empty without an interval."""
     if not reach > 0 or not all(map(math.isfinite, (value, *ci95))):
         return Markup("")
-    x, a, b = (_place(REACH * each / reach) for each in (value, *ci95))
     said = f"{plain(value, 3)}, 95 % interval {plain(ci95[0], 3)} to {plain(ci95[1], 3)} {unit}"
-    middle = TALL / 2
-    return Markup(f'<svg class="interval{" striking" * striking}" viewBox="0 0 {WIDE} {TALL}" role="img" '
-                  f'aria-label="{said}"><line class="zero" x1="{WIDE / 2:.0f}" x2="{WIDE / 2:.0f}" y1="0" y2="{TALL}"/>'
-                  f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle:.0f}" y2="{middle:.0f}"/>'
-                  f'<circle class="value" cx="{x:.1f}" cy="{middle:.0f}" r="{ROUND}"/></svg>')
+    return _drawn(said, *(REACH * each / reach for each in (value, *ci95)))
+
+
+def _drawn(said: str, value: float, low: float, high: float, *, prior: bool = False, together: bool = False) -> Markup:
+    """A value with its interval on an axis to ±`REACH`; an arrow where it lies beyond, a hollow dot if `together`."""
+    (x, a, b, left), middle = map(_place, (value, low, high, -PRIOR)), TALL // 2
+    look = f'class="value{" together" if together else ""}"'
+    box = f'<rect class="prior" x="{left:.1f}" y="2" width="{PRIOR * WIDE / REACH:.1f}" height="{TALL - 4}"/>'
+    dot = (f'<circle {look} cx="{x:.1f}" cy="{middle}" r="{ROUND}"/>' if abs(value) <= REACH else
+           f'<path {look} d="M{x:.1f} {middle - 4}v8l{5 if value > 0 else -5} -4z"/>')
+    return Markup(f'<svg class="interval" viewBox="0 0 {WIDE} {TALL}" role="img" aria-label="{said}">{box * prior}'
+                  f'<line class="zero" x1="{WIDE // 2}" x2="{WIDE // 2}" y1="0" y2="{TALL}"/>'
+                  f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle}" y2="{middle}"/>{dot}</svg>')
 
 
 def _place(value: float) -> float:

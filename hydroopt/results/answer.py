@@ -34,24 +34,25 @@ if TYPE_CHECKING:
 
 
 KINDS = {
-    "Estimate": ("estimation.dynamic.estimate", json_file.Job.IDENTIFICATION),
-    "CombinedEstimate": ("estimation.combined.estimate", json_file.Job.IDENTIFICATION),
-    "Calibration": ("estimation.kinematic.calibration", json_file.Job.CALIBRATION),
-    "SensorCalibration": ("estimation.motion.sensor_calibration", json_file.Job.SENSORS),
-    "HydraulicEstimate": ("estimation.hydraulic.estimate", json_file.Job.HYDRAULICS),
-    "Excitation": ("excitation.motion.excitation", json_file.Job.EXCITATION),
-    "PosePlan": ("excitation.selection.pose_plan", json_file.Job.POSE_PLAN),
-    "MeasureUpPlan": ("excitation.selection.measure_up", json_file.Job.POSE_PLAN),
-    "CalibratorDesign": ("excitation.selection.calibrator_design", json_file.Job.CALIBRATOR),
-    "WhatNext": ("excitation.selection.what_next", json_file.Job.NEXT),
-    "SessionComparison": ("estimation.dynamic.session_comparison", json_file.Job.CHANGE),
-    "Payload": ("estimation.dynamic.payload", json_file.Job.PAYLOAD),
-    "Weighing": ("weighing.weighing", json_file.Job.WEIGHING),
-    "Comparison": ("control.comparison", json_file.Job.CONTROL),
-    "LogCheck": ("estimation.dynamic.log_check", json_file.Job.CHECK),
-    "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK),
-    "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK)}
-"""Module and job of the class of each answer, which `load` makes again; a JSON file names the class."""
+    "Estimate": ("estimation.dynamic.estimate", json_file.Job.IDENTIFICATION, "identification.render"),
+    "CombinedEstimate": ("estimation.combined.estimate", json_file.Job.IDENTIFICATION, "identification.render"),
+    "Calibration": ("estimation.kinematic.calibration", json_file.Job.CALIBRATION, "calibration.render"),
+    "SensorCalibration": ("estimation.motion.sensor_calibration", json_file.Job.SENSORS, "sensors.render"),
+    "HydraulicEstimate": ("estimation.hydraulic.estimate", json_file.Job.HYDRAULICS, "valves.render"),
+    "Excitation": ("excitation.motion.excitation", json_file.Job.EXCITATION, "excitation.render"),
+    "PosePlan": ("excitation.selection.pose_plan", json_file.Job.POSE_PLAN, "pose_plan.render"),
+    "MeasureUpPlan": ("excitation.selection.measure_up", json_file.Job.POSE_PLAN, "pose_plan.render"),
+    "CalibratorDesign": ("excitation.selection.calibrator_design", json_file.Job.CALIBRATOR, "calibrator.render"),
+    "WhatNext": ("excitation.selection.what_next", json_file.Job.NEXT, "what_next.render"),
+    "SessionComparison": ("estimation.dynamic.session_comparison", json_file.Job.CHANGE, "sessions.render_comparison"),
+    "Payload": ("estimation.dynamic.payload", json_file.Job.PAYLOAD, "sessions.render_payload"),
+    "Weighing": ("weighing.weighing", json_file.Job.WEIGHING, "weighing.render"),
+    "Comparison": ("control.comparison", json_file.Job.CONTROL, "closed_loop.render"),
+    "LogCheck": ("estimation.dynamic.log_check", json_file.Job.CHECK, ""),
+    "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK, ""),
+    "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK, "")}
+"""Module and job of the class of each answer, which `load` makes again, and what in the room `report` writes its page.
+A JSON file names the class."""
 
 
 @dataclass(frozen=True)
@@ -458,7 +459,7 @@ def load(directory: str | Path) -> Answer:
 def _kind(content: Mapping[str, Any]) -> type[Answer]:
     """The class of the answer in a JSON file."""
     job = json_file.Job(content["job"])
-    kinds = {name: module for name, (module, of) in KINDS.items() if of == job}
+    kinds = {name: module for name, (module, of, _) in KINDS.items() if of == job}
     name = content.get("answer", {}).get("class")
     name = name if name in kinds else next(iter(kinds))
     return cast(type[Answer], getattr(import_module(f"hydroopt.{kinds[name]}"), name))

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.extras import needed
 from hydroopt.files import claimed, write_files
 from hydroopt.input_file import read_json
+from hydroopt.packages import needed
 from hydroopt.progress import Progress, silent
 from hydroopt.study import processes
 from hydroopt.study.study import Compute, Outcome, Study, Value

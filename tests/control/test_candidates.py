@@ -116,7 +116,7 @@ def test_the_seed_decides_the_noise_and_all_candidates_share_it(setting: Setting
 
 def test_sensors_err_as_the_file_states_and_add_their_offsets(setting: Setting) -> None:
     plant = setting.plant
-    quiet, noisy = (Sensors(plant, np.array([1000.0]), None, 1 / RATE, seed) for seed in (None, 0))
+    quiet, noisy = (Sensors(plant, np.array([1000.0]), None, 1 / RATE, seed, 4000) for seed in (None, 0))
     pressure = np.array([[5e6, 1e6]])
     assert_allclose(quiet.read(0, np.array([0.3]), pressure, 9e6),
                     [0.3, 5e6 + 1000.0 / plant.actuators[0].areas[0], 1e6, 9e6])

@@ -17,7 +17,7 @@ from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.table import write_columns
-from hydroopt.model.flow_demand import demanded_flow
+from hydroopt.model.hydraulics import demanded_flow
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import Trajectory
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import itertools
 import logging
@@ -22,7 +23,6 @@ import pytest
 from hydroopt import cache
 from hydroopt.kernels import compiler as system
 from hydroopt.kernels import native
-from hydroopt.kernels.compiler import _kept
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, source
 from studies.first_contact import compilers
@@ -181,13 +181,13 @@ def test_one_empty_cache_is_filled_by_many_at_once(folder: Path, compiled: list[
     x = ca.SX.sym("x")
     square, by = ca.Function("square", [x], [x * x + 1]), system.compiler()
     assert by is not None
-    place = cache.folder()
 
     def compiled_there(scratch: Path) -> Path:
         return by.compile(source(program(square)), scratch)
 
     with ThreadPoolExecutor(4) as pool:
-        libraries = list(pool.map(lambda _: _kept(place, "key", compiled_there), range(4)))
+        libraries = list(pool.map(lambda _: cache.kept(
+            "", 32 * "a", ".so", compiled_there, lambda library: ctypes.CDLL(str(library))), range(4)))
     kernels = [Kernel(library, square) for library in libraries]
     assert [list(kernel([X], len(X))[0].ravel()) for kernel in kernels] == [RIGHT] * 4
     assert {file.suffix for file in folder.iterdir()} == {".so"}

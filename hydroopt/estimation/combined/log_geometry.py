@@ -47,11 +47,11 @@ class ForcesByGeometry:
     def __init__(self, model: Model, numbers: Sequence[str]) -> None:
         own = coordinates(model.machine)
         symbols = {name: ca.SX.sym(name) for name in numbers}
-        dynamics = Dynamics(Geometry(model.machine, symbols), own, model.terms)
+        dynamics = Dynamics(Geometry(model.machine, symbols), own, model.terms, actuator_inertia=model.actuator_inertia)
         psi, g = ca.SX.sym("psi", len(model.parameters)), ca.vertcat(ca.SX(0, 1), *symbols.values())
         pressure = {"pressure": dynamics.pressure} if model.needs_pressure else {}
         given = {**own._asdict(), **pressure, "psi": psi, "g": g}
-        force = dynamics.forces(psi, actuator_inertia=model.actuator_inertia)
+        force = dynamics.forces(psi)
         outputs = [force, *(ca.jacobian(force, x) for x in (*own, psi, g))]
         made = ca.Function("forces_by_geometry", [*given.values()], [ca.densify(x) for x in outputs], [*given],
                            ["force", "by_q", "by_qd", "by_qdd", "by_psi", "by_g"])

@@ -15,8 +15,6 @@ from hydroopt.spatial.inertia import Array
 
 ORDERS = 4
 """Positions and three derivatives; the third one is how accelerations change with a delay."""
-POINTS, WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Of a quadrature that is exact for the square of a quintic's third derivative."""
 
 
 class Support(NamedTuple):
@@ -66,13 +64,11 @@ class Spline:
 
     def jerk(self, stiffness: Array, common: int) -> Rows:
         """Residuals with ``Σ left² = ∫ |stiffness·q'''|² dt``, stiffness (n,): the third derivative as white noise."""
-        basis = self.basis
-        x = np.arange(basis.intervals)[:, None] + (1 + POINTS) / 2
-        support = self.support(basis.start + basis.spacing * x.ravel())
-        size = np.sqrt(np.tile(WEIGHTS / 2 * basis.spacing, basis.intervals))[:, None] * stiffness
-        by_jerk = size[:, :, None] * np.eye(len(stiffness))
-        return Rows.of_path(-size * motion(self, support)[3], support._replace(values=support.values[3:]).along(
-            [by_jerk]), common, support.first * len(stiffness))
+        values, first = self.basis.jerk
+        support = Support(values[None] * self.basis.spacing**-2.5, first)
+        by_jerk = np.tile(np.diag(stiffness), (len(first), 1, 1))
+        return Rows.of_path(-stiffness * motion(self, support)[0], support.along([by_jerk]), common,
+                            first * len(stiffness))
 
     def moved(self, step: Array) -> Spline:
         """With other coefficients, by `step` (k, n)."""

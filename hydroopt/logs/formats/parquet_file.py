@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.extras import needed
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.table import (
@@ -23,6 +22,7 @@ from hydroopt.logs.table import (
     selected,
     unreadable,
 )
+from hydroopt.packages import needed
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""

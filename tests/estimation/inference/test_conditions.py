@@ -21,10 +21,9 @@ from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.estimation.inference.posterior import sample
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.smoothing import Fourier
-from hydroopt.machine.links import Note
+from hydroopt.machine.links import Note, Shape
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
-from hydroopt.machine.mass_statements import Shape
 from hydroopt.model.model import Model
 from hydroopt.report.identification import render
 from hydroopt.results.diagnostic import of_kind

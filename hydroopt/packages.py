@@ -1,8 +1,10 @@
-"""Libraries that only some jobs need: what installs each, and the sentence where one is missing."""
+"""Packages beside hydroopt: what installs those that only some jobs need, and versions of those that are there."""
 
 from __future__ import annotations
 
-from importlib import import_module
+import platform
+from contextlib import suppress
+from importlib import import_module, metadata
 from typing import Any
 
 from hydroopt.errors import HydrooptError, ProblemError
@@ -14,6 +16,8 @@ EXTRAS = {"dask": "cluster", "distributed": "cluster",
           "mujoco": "mjcf", "h5py": "hdf5", "asammdf": "mdf", "mcap": "ros", "rosbags": "ros", "nptdms": "tdms",
           "python_calamine": "xlsx"}
 """The extra of the distribution that installs a module; tests hold it against pyproject.toml."""
+PACKAGES = ("casadi", "clarabel", "cvxpy", "numpy", "scipy")
+"""Packages that determine the last bits of a result, besides the settings and the processor."""
 
 
 def needed(module: str, purpose: str, *, where: str, error: type[HydrooptError] = ProblemError) -> Any:
@@ -47,3 +51,25 @@ def install(library: str) -> str:
     "run pip install 'hydroopt-calibration[ros]'"
     """
     return f"run pip install '{DISTRIBUTION}[{EXTRAS[library]}]'"
+
+
+def version() -> str:
+    """Version of hydroopt.
+
+    >>> version() == versions()["hydroopt"]
+    True
+    """
+    return metadata.version(DISTRIBUTION)
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of Python, of hydroopt, of packages that determine results, and of others, by name, as far as installed.
+
+    >>> list(versions("control"))
+    ['python', 'hydroopt', 'casadi', 'clarabel', 'cvxpy', 'numpy', 'scipy', 'control']
+    """
+    found = {"python": platform.python_version(), "hydroopt": version()}
+    for name in (*PACKAGES, *packages):
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
