@@ -25,10 +25,10 @@ from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeome
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside, NumbersGiven
-from hydroopt.estimation.dynamic.identification import WITH_PRIORS
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.inference.listing import counted

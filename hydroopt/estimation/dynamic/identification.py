@@ -13,7 +13,7 @@ import numpy as np
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.reduced_model import reduced_parameters
+from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, reduced_parameters
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import (
@@ -37,8 +37,6 @@ from hydroopt.spatial.inertia import Array
 
 NOMINAL, REDUCED, COMPLETE = "nominal", "reduced", "complete"
 """Models whose predictions stand side by side."""
-WITH_PRIORS = ("sdp", "qp", "nlp")
-"""Methods that use the machine file's priors, bounds and statements; the others compute from the data alone."""
 
 
 class TotalMass(NamedTuple):

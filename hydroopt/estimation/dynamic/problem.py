@@ -66,7 +66,7 @@ class IdentificationProblem(Shown):
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
         experiments, validation: training data, and data for validation only.
-        force_std: (n,) standard deviations of force readings, NaN if unknown; `reweight` estimates them from residuals.
+        force_std: (n,) standard deviations of force readings, NaN if unknown; residuals estimate them anew.
         constraints, priors, physics: what was added by name.
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
@@ -86,7 +86,6 @@ class IdentificationProblem(Shown):
     experiments: tuple[AnyExperiment, ...]
     validation: tuple[AnyExperiment, ...] = ()
     force_std: Array = field(default_factory=lambda: np.empty(0))
-    reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
     priors: tuple[Prior, ...] = ()
     physics: tuple[Condition, ...] = ()
@@ -445,9 +444,8 @@ class IdentificationProblem(Shown):
                  f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
         for balance, std in zip(machine.balances, self.force_std, strict=True):
             weight = f"σ = {listing.number(std)} {balance.unit}" if np.isfinite(std) else "σ unknown"
-            again = ", re-estimated from the residuals" if self.reweight else ""
             lines.append(f"  residuals of {balance.name}: {LOSSES[self.loss]}, e = f − K·ψ [{balance.unit}], "
-                         f"{weight}{again}")
+                         f"{weight}, re-estimated from the residuals")
         lines += ["  residuals of the actuators correlate: their covariance weights them"] * self.correlated
         lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * self.fitted_motion
         lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)

@@ -237,7 +237,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()
-    least, wide = smallest(rms_force(problem, data)) if problem.reweight else sigma, sigma
+    least, wide = smallest(rms_force(problem, data)), sigma
     motion = InMotion(problem, folded, sigma, least)
     if np.any(holds.counts):
         wide = sigma * np.sqrt(motion.correlation_time)
@@ -378,10 +378,9 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
         R, r, _ = data.weighted(sigma)
         before, psi = psi, gaussian_posterior(problem, R, r).offset
         residuals = _residuals(problem, psi)
-        if problem.reweight:
-            taken = np.concatenate(_taken(problem, residuals))
-            read, sigma = np.any(np.isfinite(taken), axis=0), sigma.copy()
-            sigma[read] = np.maximum(1.4826 * np.nanmedian(np.abs(taken[:, read]), axis=0), floor[read])
+        taken = np.concatenate(_taken(problem, residuals))
+        read, sigma = np.any(np.isfinite(taken), axis=0), sigma.copy()
+        sigma[read] = np.maximum(1.4826 * np.nanmedian(np.abs(taken[:, read]), axis=0), floor[read])
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
