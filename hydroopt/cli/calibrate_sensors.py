@@ -16,8 +16,8 @@ from hydroopt.cli.options import (
     MapFile,
     Quiet,
     Treat,
+    logs_read,
     progress,
-    reading,
 )
 
 
@@ -40,7 +40,6 @@ def calibrate_sensors(
     """
     from hydroopt.estimation.motion.problem import sensor_problem
     from hydroopt.estimation.motion.sensor_calibration import METHOD
-    from hydroopt.logs.log_files import read_log
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import sensors
@@ -48,7 +47,7 @@ def calibrate_sensors(
     from hydroopt.solving import solve
 
     began, described = time.perf_counter(), load_machine(machine)
-    recorded = reading(read_log, described, map_file, treat)(logs or [])
+    recorded = logs_read(logs or [], described, map_file, treat)
     problem = sensor_problem(described, recorded, [read_pose_files(poses)] if poses else (), geometry=geometry)
     with (progress(f"fitting motion and sensors of {described.name} to all readings", quiet) as say,
           failure_saved(output, Job.SENSORS, described, METHOD)):

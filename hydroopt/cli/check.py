@@ -24,8 +24,8 @@ from hydroopt.cli.options import (
     SmoothingText,
     TrainingLogs,
     Treat,
+    logs_read,
     progress,
-    reading,
     refuse_given,
     reserves_of,
     smoothing_of,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hydroopt.checks.motion import MotionCheck
     from hydroopt.checks.postures import PostureCheck
     from hydroopt.estimation.dynamic.log_check import LogCheck
-    from hydroopt.logs.any_log import AnyLog
+    from hydroopt.logs.log import Log
     from hydroopt.machine.machine import Machine
 
 
@@ -68,9 +68,7 @@ def check(
     from hydroopt.checks.postures import check_postures
     from hydroopt.estimation.dynamic.log_check import check_logs
     from hydroopt.excitation.motion.known import identified
-    from hydroopt.logs.log_files import read_log
     from hydroopt.logs.poses import is_pose_table, read_poses
-    from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import load_machine
 
     began = time.perf_counter()
@@ -80,7 +78,7 @@ def check(
     with progress(f"checking {described.name}", quiet) as say:
         say("reading logs", 0.0)
         poses = all(is_pose_table(path) for path in logs)
-        read = [] if poses else reading(open_log, described, map_file, treat)(logs)
+        read = [] if poses else logs_read(logs, described, map_file, treat)
         say("smoothing and weighting", 0.2)
         if poses:
             refuse_given({"--estimate": estimate, "--treat": treat, "--bandwidth": bandwidth},
@@ -88,7 +86,7 @@ def check(
             found = check_postures(described, [read_poses(path, mapping=map_file) for path in logs], reserves=reserves)
         elif not _have_forces(described, read):
             known = None if estimate is None else identified(described, estimate)
-            found = check_motion(described, reading(read_log, described, map_file, treat)(logs), reserves=reserves,
+            found = check_motion(described, read, reserves=reserves,
                                  known=known)
         else:
             refuse_given({"--reserve": reserve, "--estimate": estimate}, "these logs have forces: they are checked for "
@@ -129,7 +127,7 @@ def _answered(found: LogCheck | MotionCheck | PostureCheck, logs: Sequence[Path]
                           remedy="leave these poses out, or correct the limits in the machine file")
 
 
-def _have_forces(machine: Machine, logs: Sequence[AnyLog]) -> bool:
+def _have_forces(machine: Machine, logs: Sequence[Log]) -> bool:
     """Whether any log has a channel of an actuator's force, torque or pressure."""
     of_forces = {channel for each in machine.actuators for channel in each.effort_factors}
     return any(channel in of_forces for log in logs for channel in log.channels)

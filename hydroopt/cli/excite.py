@@ -100,7 +100,7 @@ def excite(
     from hydroopt.excitation.motion.design import at_pace, excitation_problem
     from hydroopt.excitation.motion.known import identified
     from hydroopt.files import refuse_places
-    from hydroopt.logs.stream import open_log
+    from hydroopt.logs.log_files import read_log
     from hydroopt.report import excitation as report
     from hydroopt.report import operator_sheet
     from hydroopt.results.json_file import FILES, Job
@@ -125,7 +125,7 @@ def excite(
                            remedy="give more than 0 and at most 100 %, such as '50 %'")
     start_of(described, standing, np.zeros(len(described.joints)))  # refused before the search
     with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
-        logs = [open_log(path, mapping=map_file) for path in log or ()]
+        logs = [read_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting, reserves=reserves,
                                      known=None if estimate is None else identified(described, estimate))

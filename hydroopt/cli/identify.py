@@ -27,11 +27,11 @@ from hydroopt.cli.options import (
     Treat,
     Validation,
     distance_of,
+    logs_read,
     loss_of,
     parameter_values,
     parted,
     progress,
-    reading,
     smoothing_of,
 )
 from hydroopt.errors import ProblemError, SolverError
@@ -100,7 +100,6 @@ def identify(
     from hydroopt.estimation.dynamic.estimate import inputs_of
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.problem import identification_problem
-    from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import dump_machine, load_machine
     from hydroopt.report import identification
     from hydroopt.results.json_file import Job
@@ -116,8 +115,9 @@ def identify(
     if geometry and (friction == "auto" or len(sets) > 1):
         raise ProblemError("geometry cannot be estimated while friction terms are chosen", where="--with-geometry",
                            remedy="choose them first, and give the chosen set")
-    way, read = smoothing_of(smoothing, bandwidth, described), reading(open_log, described, map_file, treat)
-    train, held_out = parted(read(logs), read(validate or ()), holdout)
+    way = smoothing_of(smoothing, bandwidth, described)
+    train, held_out = (logs_read(paths, described, map_file, treat) for paths in (logs, validate or ()))
+    train, held_out = parted(train, held_out, holdout)
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:

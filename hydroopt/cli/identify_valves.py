@@ -16,9 +16,9 @@ from hydroopt.cli.options import (
     TrainingLogs,
     Treat,
     Validation,
+    logs_read,
     parted,
     progress,
-    reading,
 )
 
 
@@ -40,15 +40,14 @@ def identify_valves(
     """
     from hydroopt.estimation.hydraulic.estimate import METHOD
     from hydroopt.estimation.hydraulic.problem import hydraulic_problem
-    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import valves
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
-    read = reading(read_log, described, map_file, treat)
-    problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout))
+    problem = hydraulic_problem(described, *parted(
+        logs_read(logs, described, map_file, treat), logs_read(validate or (), described, map_file, treat), holdout))
     with (progress(f"adjusting the volume balances of {described.name}", quiet) as say,
           failure_saved(output, Job.HYDRAULICS, described, METHOD, lambda: problem.inputs)):
         estimate = continued(solve(problem), output)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from inspect import unwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -22,13 +22,11 @@ if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
     from hydroopt.limits.reserves import Reserves
-    from hydroopt.logs.any_log import AnyLog
     from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
 
-L = TypeVar("L", bound="AnyLog")
 
 def _machines(incomplete: str) -> list[str]:
     """Bundled machines whose names begin so, for the completion of a shell."""
@@ -264,14 +262,14 @@ def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[st
     return values
 
 
-def reading(reader: Callable[..., L], machine: Machine, map_file: Path | None,
-            treat: list[str] | None) -> Callable[[Sequence[Path]], list[L]]:
-    """A function that reads all logs of a command, each with the same map, treatment and pressure limits."""
-    options: dict[str, Any] = {"mapping": map_file, "treatment": treatment_of(treat), "limits": reliefs(machine)}
-    return lambda paths: [reader(path, **options) for path in paths]
+def logs_read(paths: Sequence[Path], machine: Machine, map_file: Path | None, treat: list[str] | None) -> list[Log]:
+    """All logs of a command, each with the same map, treatment and pressure limits."""
+    from hydroopt.logs.log_files import read_log
+
+    return [read_log(path, mapping=map_file, treatment=treatment_of(treat), limits=reliefs(machine)) for path in paths]
 
 
-def parted(train: list[L], validation: list[L], holdout: float) -> tuple[list[L], list[L]]:
+def parted(train: list[Log], validation: list[Log], holdout: float) -> tuple[list[Log], list[Log]]:
     """Training logs without the part of their end that is held out, and validation logs with it."""
     if not holdout:
         return train, validation
@@ -287,10 +285,8 @@ def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: P
         ProblemError: there is a directory beside other paths.
         LogError: a log cannot be read.
     """
-    from hydroopt.logs.log_files import read_log
-
     if not any(is_directory(path) for path in paths):
-        return reading(read_log, machine, map_file, treat)(paths)
+        return logs_read(paths, machine, map_file, treat)
     if len(paths) > 1:
         raise ProblemError("a directory stands for a whole session", where=option,
                            remedy="give one directory, or logs only")

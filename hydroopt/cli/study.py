@@ -26,9 +26,9 @@ from hydroopt.cli.options import (
     Seed,
     TrainingLogs,
     Treat,
+    logs_read,
     parameter_values,
     progress,
-    reading,
     refuse_given,
 )
 from hydroopt.cli.terminal import echo
@@ -127,10 +127,9 @@ def bootstrap(
     """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
     def prepare(described: Machine) -> tuple[Study, Summary]:
         from hydroopt.cli.identify import method_of
-        from hydroopt.logs.log_files import read_log
         from hydroopt.study import bootstrap as study
 
-        read = reading(read_log, described, map_file, treat)(logs)
+        read = logs_read(logs, described, map_file, treat)
         return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
 
     _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)

@@ -21,8 +21,8 @@ from hydroopt.cli.options import (
     SinglePrecision,
     Sizes,
     Treat,
+    logs_read,
     progress,
-    reading,
     session_of,
 )
 
@@ -76,7 +76,6 @@ def weigh(
 
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
-    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
     from hydroopt.report.weighing import render
@@ -88,7 +87,6 @@ def weigh(
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     model = Model(described)
-    read = reading(read_log, described, map_file, treat)
 
     def size(text: str, unit: str, option: str) -> float:
         return to_si(text, unit, where=option)
@@ -109,11 +107,11 @@ def weigh(
         for k, text in enumerate(known or ()):
             mass, file = _known(text)
             say(f"learning from the known load of {mass}", (1 + k) / steps)
-            made = weighing.learned(made, read([file])[0], size(mass, "kg", "--known"),
+            made = weighing.learned(made, logs_read([file], described, map_file, treat)[0], size(mass, "kg", "--known"),
                                     size(known_sigma, "kg", "--known-sigma"))
         made = made.on_slope(*tilt)
         say(f"weighing along {', '.join(each.name for each in logs)}", (steps - 2) / steps)
-        found = weighing.weigh(made, read(logs), tare=size(tare, "s", "--tare"),
+        found = weighing.weigh(made, logs_read(logs, described, map_file, treat), tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
         found = continued(found, output)
         say("writing the report", (steps - 1) / steps)

@@ -18,7 +18,7 @@ from hydroopt.results.fit import Fit
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.estimate import Estimate
-    from hydroopt.estimation.dynamic.experiment import AnyExperiment
+    from hydroopt.estimation.dynamic.experiment import Experiment
     from hydroopt.estimation.dynamic.misfit.naming import Misfit
 
 METHODS = {
@@ -176,7 +176,7 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
         for total in estimate.total_masses if len(total.bodies) > 1]
 
 
-def _log(role: str, data: AnyExperiment) -> dict[str, Any]:
+def _log(role: str, data: Experiment) -> dict[str, Any]:
     log = data.log
     return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.sample_count,
             "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",

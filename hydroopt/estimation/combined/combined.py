@@ -32,7 +32,6 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
-from hydroopt.logs.any_log import in_memory
 from hydroopt.machine.flat_loops import closed_flat
 from hydroopt.machine.standing import standing_for
 from hydroopt.model.model import Model
@@ -58,7 +57,7 @@ def identify_with_geometry(problem: CombinedProblem, method: Method = "sdp", *, 
         raise ProblemError(f"method '{method}' knows no confidences, by which geometry and bodies are separated",
                            where="geometry", remedy=f"use {', '.join(WITH_PRIORS)}")
     nominal = problem.identification
-    kinematics = calibrate(postures(nominal.model.machine, in_memory(nominal.experiments, "geometry")))
+    kinematics = calibrate(postures(nominal.model.machine, nominal.experiments))
     force = ForcesByGeometry(nominal.model, kinematics.problem.model.parameters.names)
     about = _about(problem, _beside(nominal, force, kinematics), kinematics)
     about = _about(problem, identify(about, method, intervals=False, **options).problem.beside, kinematics)
@@ -88,7 +87,7 @@ def _beside(problem: IdentificationProblem, force: ForcesByGeometry, kinematics:
     names, bound = np.array(every.parameters.names), kinematics.at_bound
     held = every.fixing(**dict(zip(names[bound], kinematics.theta[bound].tolist(), strict=True)))
     found, first = [], 0
-    for data in in_memory(problem.experiments, "geometry"):
+    for data in problem.experiments:
         others = np.ones(len(every.poses), dtype=bool)
         others[first : first + data.log.size] = False
         own = kinematics.q[~others, len(every.model.machine.joints):]

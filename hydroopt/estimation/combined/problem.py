@@ -9,7 +9,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.training_logs import refuse_added
 from hydroopt.estimation.inference.listing import counted
-from hydroopt.logs.any_log import AnyLog, in_memory
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.notebook_card import Shown
@@ -32,11 +32,10 @@ class CombinedProblem(Shown):
     def __post_init__(self) -> None:
         problem = self.identification
         refuse_added("geometry", problem.experiments)
-        in_memory(problem.experiments, "geometry")
         taken = {"instruments": bool(problem.instruments), "correlated channels": problem.correlated,
                  "freed faults": bool(problem.freed), f"the loss '{problem.loss}'": problem.loss != "squares",
-                 "fitted rates and accelerations": any(data.position_std is not None for data in in_memory(
-                     problem.experiments, "geometry"))}
+                 "fitted rates and accelerations": any(data.position_std is not None
+                                                       for data in problem.experiments)}
         if named := [what for what, so in taken.items() if so]:
             raise ProblemError(f"geometry cannot be estimated together with {named[0]}", where="geometry",
                                remedy="choose one of the two")
@@ -47,7 +46,7 @@ class CombinedProblem(Shown):
                 f"{counted(len(problem.experiments), 'training log')})")
 
 
-def combined_problem(machine: GivenMachine, logs: AnyLog | Sequence[AnyLog], validation: AnyLog | Sequence[AnyLog] = (),
+def combined_problem(machine: GivenMachine, logs: Log | Sequence[Log], validation: Log | Sequence[Log] = (),
                      *, smoothing: Smoothing | None = None) -> CombinedProblem:
     """The problem of geometry, bodies and friction together.
 

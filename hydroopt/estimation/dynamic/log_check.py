@@ -17,7 +17,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Identifiability
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
@@ -217,7 +217,7 @@ class LogCheck(Answer):
         return "\n".join([*lines, *([] if self.contradictions else [f"  {NOT_JUDGED}"])])
 
 
-def check_logs(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog], *,
+def check_logs(machine: GivenMachine | Model, logs: Log | Sequence[Log], *,
                smoothing: Smoothing | None = None) -> LogCheck:
     """Check logs against a machine: can they be used, what is suspicious, and what would they identify.
 
