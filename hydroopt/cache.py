@@ -13,11 +13,14 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
 import platformdirs
+
+T = TypeVar("T")
 
 UNUSED = 90 * 24 * 3600.0
 """For how long [s] nothing has read what is removed once something new is kept."""
@@ -81,24 +84,37 @@ def read(file: Path) -> bytes:
         return opened.read()
 
 
-def kept(name: str) -> bytes | None:
-    """What `keep` put under a name; None where nothing is there, or not the whole of it."""
-    with suppress(OSError):
-        content = read(folder() / name)
-        if hashlib.sha256(content[32:]).digest() == content[:32]:
-            return content[32:]
-    return None
+def kept(part: str, key: str, suffix: str, make: Callable[[Path], Path], use: Callable[[Path], T]) -> T:
+    """What the file of a key in a part of the cache is used for; one that is not there, or cannot be used, is made.
+
+    Its name holds a hash of its content: a file is whole or is not used, however many processes make it at once.
+
+    Args:
+        part: see `folder`.
+        key: of 32 hexadecimal digits.
+        suffix: of the file's name.
+        make: writes it into a folder, and says where.
+        use: reads or loads it.
+
+    Raises:
+        OSError: the cache cannot be used.
+    """
+    place = folder(part)
+    names = [name for name in os.listdir(place) if name.startswith(f"{key}-") and name.endswith(suffix)]
+    for entry in sorted(place / name for name in names):  # pathlib's glob takes ten times as long
+        with suppress(OSError):
+            if _digest(read(entry)) == entry.stem.partition("-")[2]:
+                return use(entry)
+        with suppress(FileNotFoundError):  # another process found it first
+            entry.unlink()
+    with scratch(place) as empty:
+        made = make(empty)
+        made.chmod(0o700)  # whatever the umask: only this user may write it
+        return use(made.rename(place / f"{key}-{_digest(made.read_bytes())}{suffix}"))
 
 
-def keep(name: str, content: bytes) -> None:
-    """Keep some content under a name, whole or not at all; nothing where the folder cannot be written."""
-    with suppress(OSError):
-        place = folder()
-        with scratch(place) as made:
-            file = made / name
-            file.write_bytes(hashlib.sha256(content).digest() + content)
-            file.chmod(0o600)  # whatever the umask: nobody else may write it
-            file.replace(place / name)
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
 
 
 def _remove_unused(place: Path) -> None:

@@ -124,11 +124,6 @@ def read_json(path: str | Path, kind: type[HydrooptError]) -> dict[str, Any]:
     return content
 
 
-def is_directory(path: str | Path) -> bool:
-    """Whether it is a directory; a path that no file can have is not one."""
-    return os.path.isdir(path)
-
-
 def similar(name: str, known: Iterable[str], most: int = 3) -> list[str]:
     """Known names that resemble one, or the first ones; at most so many.
 

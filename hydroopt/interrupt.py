@@ -1,4 +1,4 @@
-"""Ctrl-C (SIGINT) and the end of processes: who receives it, and when. No other module installs a handler or a mask."""
+"""Ctrl-C (SIGINT): who receives it, and when. No other module installs a handler or a mask."""
 
 from __future__ import annotations
 
@@ -66,27 +66,6 @@ def end_at_once(code: int) -> None:
     """From now on Ctrl-C ends the process, which has done its work, with this exit code."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, lambda *_: os._exit(code))
-
-
-def end_with_parent(work: bytes, *shared: Any) -> None:
-    """Do the work of a process begun by `multiprocessing`, which ends when its parent is gone, as after `kill -9`.
-
-    Args:
-        work: a pickled function with its first arguments: what it needs is imported when the parent is watched already.
-        shared: its other arguments, such as pipes, which only `multiprocessing` can hand over.
-    """
-    import pickle  # noqa: PLC0415 (import cost)
-    from multiprocessing import connection, parent_process  # noqa: PLC0415
-
-    parent = parent_process()
-    if parent is not None:
-        def watch() -> None:
-            connection.wait([parent.sentinel])
-            os._exit(1)
-
-        threading.Thread(target=watch, name="watch parent", daemon=True).start()
-    function, own = pickle.loads(work)
-    function(*own, *shared)
 
 
 @contextmanager

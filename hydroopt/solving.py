@@ -18,35 +18,36 @@ if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.problem import CalibrationProblem
     from hydroopt.estimation.motion.problem import SensorProblem
     from hydroopt.estimation.motion.sensor_calibration import SensorCalibration
-    from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
-    from hydroopt.excitation.calibrator.problem import CalibratorProblem
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.problem import ExcitationProblem
-    from hydroopt.excitation.next.plan import WhatNext
-    from hydroopt.excitation.next.problem import WhatNextProblem
-    from hydroopt.excitation.poses.measure_up import MeasureUpProblem
-    from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
-    from hydroopt.excitation.poses.plan import PosePlan
-    from hydroopt.excitation.poses.problem import PoseProblem
+    from hydroopt.excitation.selection.calibrator_design import CalibratorDesign
+    from hydroopt.excitation.selection.calibrator_problem import CalibratorProblem
+    from hydroopt.excitation.selection.measure_up import MeasureUpPlan, MeasureUpProblem
+    from hydroopt.excitation.selection.pose_plan import PosePlan
+    from hydroopt.excitation.selection.pose_problem import PoseProblem
+    from hydroopt.excitation.selection.what_next import WhatNext
+    from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
 
 SOLVERS = {
     ("hydroopt.estimation.combined.problem", "CombinedProblem"): (
-        "hydroopt.estimation.combined.combined", "identify_with_geometry"),
+        "hydroopt.estimation.combined.estimate", "identify_with_geometry"),
     ("hydroopt.estimation.dynamic.problem", "IdentificationProblem"): (
         "hydroopt.estimation.dynamic.identify", "identify"),
     ("hydroopt.estimation.kinematic.problem", "CalibrationProblem"): (
-        "hydroopt.estimation.kinematic.calibrate", "calibrate"),
+        "hydroopt.estimation.kinematic.calibration", "calibrate"),
     ("hydroopt.estimation.motion.problem", "SensorProblem"): (
         "hydroopt.estimation.motion.sensor_calibration", "calibrate_sensors"),
     ("hydroopt.estimation.hydraulic.problem", "HydraulicProblem"): (
         "hydroopt.estimation.hydraulic.estimate", "identify_hydraulics"),
     ("hydroopt.excitation.motion.problem", "ExcitationProblem"): ("hydroopt.excitation.motion.design", "design"),
-    ("hydroopt.excitation.poses.problem", "PoseProblem"): ("hydroopt.excitation.poses.exchange", "fedorov_exchange"),
-    ("hydroopt.excitation.poses.measure_up", "MeasureUpProblem"): (
-        "hydroopt.excitation.poses.measure_up", "fewest_readings"),
-    ("hydroopt.excitation.calibrator.problem", "CalibratorProblem"): (
-        "hydroopt.excitation.calibrator.design", "design_calibrator"),
-    ("hydroopt.excitation.next.problem", "WhatNextProblem"): ("hydroopt.excitation.next.plan", "plan_next")}
+    ("hydroopt.excitation.selection.pose_problem", "PoseProblem"): (
+        "hydroopt.excitation.selection.exchange", "fedorov_exchange"),
+    ("hydroopt.excitation.selection.measure_up", "MeasureUpProblem"): (
+        "hydroopt.excitation.selection.measure_up", "fewest_readings"),
+    ("hydroopt.excitation.selection.calibrator_problem", "CalibratorProblem"): (
+        "hydroopt.excitation.selection.calibrator_design", "design_calibrator"),
+    ("hydroopt.excitation.selection.what_next_problem", "WhatNextProblem"): (
+        "hydroopt.excitation.selection.what_next", "plan_next")}
 """Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
 
 
@@ -80,12 +81,13 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
             or of poses, a measure-up, a calibrator, or what to measure next.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
-            `hydroopt.estimation.kinematic.calibrate.calibrate`,
-            `hydroopt.estimation.combined.combined.identify_with_geometry`,
+            `hydroopt.estimation.kinematic.calibration.calibrate`,
+            `hydroopt.estimation.combined.estimate.identify_with_geometry`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
-            `hydroopt.excitation.poses.exchange.fedorov_exchange`,
-            `hydroopt.excitation.poses.measure_up.fewest_readings`,
-            `hydroopt.excitation.calibrator.design.design_calibrator` or `hydroopt.excitation.next.plan.plan_next`.
+            `hydroopt.excitation.selection.exchange.fedorov_exchange`,
+            `hydroopt.excitation.selection.measure_up.fewest_readings`,
+            `hydroopt.excitation.selection.calibrator_design.design_calibrator` or
+            `hydroopt.excitation.selection.what_next.plan_next`.
 
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.

@@ -16,19 +16,6 @@ if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
     from hydroopt.results.answer import Answer
 
-PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
-         "CombinedEstimate": ("hydroopt.report.identification", "render"),
-         "Calibration": ("hydroopt.report.calibration", "render"),
-         "SensorCalibration": ("hydroopt.report.sensors", "render"),
-         "HydraulicEstimate": ("hydroopt.report.valves", "render"),
-         "Excitation": ("hydroopt.report.excitation", "render"),
-         "PosePlan": ("hydroopt.report.pose_plan", "render"), "MeasureUpPlan": ("hydroopt.report.pose_plan", "render"),
-         "CalibratorDesign": ("hydroopt.report.calibrator", "render"),
-         "WhatNext": ("hydroopt.report.what_next", "render"),
-         "SessionComparison": ("hydroopt.report.sessions", "render_comparison"),
-         "Payload": ("hydroopt.report.sessions", "render_payload"),
-         "Weighing": ("hydroopt.report.weighing", "render")}
-"""Module and name of what writes the page of each answer."""
 VIEW = "view.html"
 TALL = 900
 """Name of the file of a view, and its height in a notebook [px]."""
@@ -86,15 +73,21 @@ def view(shown: Any) -> View:
         shown = load(shown) if Path(shown).is_dir() else load_machine(shown)
     if isinstance(shown, Answer) and shown.directory is not None:
         return _of_machine(shown.machine, shown)
-    if isinstance(shown, Answer):
-        for kind in type(shown).__mro__:
-            if place := PAGES.get(kind.__name__):
-                return View(getattr(import_module(place[0]), place[1])(shown), shown.machine_name)
+    if isinstance(shown, Answer) and (page := page_of(shown)) is not None:
+        return View(page, shown.machine_name)
     machine = getattr(shown, "machine", shown)
     if type(machine).__name__ != "Machine":
         raise ProblemError(f"a {type(shown).__name__} has no page", where="page",
                            remedy="give a Machine, its name or file, an answer, or the folder of one")
     return _of_machine(machine)
+
+
+def page_of(answer: Answer) -> str | None:
+    """The page of an answer that was just computed; None of a job without a page of its own."""
+    from hydroopt.results.answer import KINDS  # noqa: PLC0415
+
+    module, _, function = KINDS[type(answer).__name__][2].partition(".")
+    return getattr(import_module(f"hydroopt.report.{module}"), function)(answer) if module else None
 
 
 def _of_machine(machine: Machine, answer: Answer | None = None) -> View:

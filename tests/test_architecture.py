@@ -14,8 +14,8 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "memory", "progress"),
-    ("extras",),
-    ("input_file", "files", "units", "notebook_card", "versions"),
+    ("packages", "processes"),
+    ("input_file", "files", "units", "notebook_card"),
     ("cache",),
     ("spatial",),
     ("kernels",),
@@ -33,8 +33,8 @@ ROOMS = (
     ("estimation.combined",),
     ("weighing",),
     ("excitation.criteria",),
-    ("excitation.motion", "excitation.poses"),
-    ("excitation.calibrator", "excitation.next"),
+    ("excitation.motion",),
+    ("excitation.selection",),
     ("control",),
     ("codegen",),
     ("study",),

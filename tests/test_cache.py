@@ -112,12 +112,25 @@ def test_without_a_home_nothing_is_kept_in_the_working_directory(tmp_path: Path,
 def test_what_is_kept_or_left_by_killed_processes_and_long_unused_is_removed_and_nothing_else(home: Path) -> None:
     old, young, other = f"{'a' * 32}.function", f"{'b' * 32}.function", "notes.txt"
     for name in (old, young, other):
-        cache.keep(name, b"content")
+        (cache.folder() / name).write_bytes(b"content")
     with cache.scratch(cache.folder()) as left:
         living = left.name
     (cache.folder() / living / "sub").mkdir(parents=True)
     (cache.folder() / "users").mkdir()
     for name in (old, other, living, "users"):
         os.utime(cache.folder() / name, (0, 0))
-    cache.keep(f"{'c' * 32}.function", b"content")
-    assert sorted(os.listdir(cache.folder())) == [young, f"{'c' * 32}.function", other, "users"]
+    made = cache.kept("", "c" * 32, ".function", written, Path)
+    assert made.read_bytes() == b"content"
+    assert sorted(os.listdir(cache.folder())) == [young, made.name, other, "users"]
+
+
+def written(place: Path) -> Path:
+    (place / "made").write_bytes(b"content")
+    return place / "made"
+
+
+def test_what_is_not_whole_is_made_again(home: Path) -> None:
+    first = cache.kept("ab", "d" * 32, ".so", written, Path)
+    assert cache.kept("ab", "d" * 32, ".so", lambda _: first, Path) == first
+    first.write_bytes(b"cont")
+    assert cache.kept("ab", "d" * 32, ".so", written, Path.read_bytes) == b"content"

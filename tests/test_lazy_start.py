@@ -8,7 +8,7 @@ import pytest
 
 import hydroopt
 from hydroopt import cli
-from hydroopt.control.outcome import FEEDFORWARD, LQG, PI
+from hydroopt.control.comparison import FEEDFORWARD, LQG, PI
 from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.estimation.dynamic import identify as dynamic
 from hydroopt.estimation.dynamic.friction_choice import TERMS

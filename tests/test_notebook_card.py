@@ -140,8 +140,6 @@ def test_what_has_no_such_figure_says_so(shown: dict[str, Any]) -> None:
         shown["machine"].plot.forces()
     with pytest.raises(ho.ProblemError, match="a Model has no parameters to draw"):
         shown["model"].plot.parameters()
-    with pytest.raises(ho.ProblemError, match=r"an Estimate has no loops to draw; draw those of hydroopt\.control"):
-        shown["estimate"].plot.loops()
 
 
 def test_view_is_the_page_of_the_object(shown: dict[str, Any]) -> None:

@@ -9,8 +9,8 @@ import pytest
 import hydroopt as ho
 from hydroopt.codegen.folder import Code
 from hydroopt.codegen.parameter_source import read
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.exchange import fedorov_exchange
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.progress import Progress

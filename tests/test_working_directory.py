@@ -55,7 +55,7 @@ def test_figures_look_the_same_whatever_matplotlib_was_told() -> None:
         with matplotlib.rc_context(STYLE):
             figure = Figure()
             figure.subplots().plot([0, 1], [0, 1], label="a_b")
-        return svg(figure, "line")
+        return svg(figure)
 
     plain = drawn()
     told = {"text.usetex": True, "svg.image_inline": False, "lines.linestyle": ":", "figure.facecolor": "black",

@@ -69,8 +69,8 @@ def _value(kind: type[BaseModel], name: str, field: FieldInfo) -> str:
         word = "tables" if _many(field.annotation) else "table"
         return " or ".join(f"[{word}](#{anchor(part)})" for part in parts)
     marks = [*field.metadata, *_marks(field.annotation)]
-    units = next((" or ".join(f"{unit}" for unit in (mark.si, *mark.others)) for mark in marks
-                  if isinstance(mark, Quantity)), "")
+    units = next((" or ".join((mark.si, *mark.others)) if len(mark.others) < 3 else "the channels' unit"
+                  for mark in marks if isinstance(mark, Quantity)), "")
     inner = _plain(field.annotation)
     bounds = ", ".join(text for mark in field.metadata if (text := _bound(mark)))
     if get_origin(inner) is Literal:

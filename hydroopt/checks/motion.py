@@ -10,22 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.checks.alternatives import UNITS
+from hydroopt.checks.plausibility import misread
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.limits.use import UseOfLimit, courses
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model, model_of
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import Trajectory
 
@@ -56,6 +56,20 @@ class LimitInMotion(NamedTuple):
     def short(self) -> bool:
         """Whether the limit is kept, but not its reserve."""
         return not self.broken and self.use.room < 0
+
+
+def _of_limit(found: LimitInMotion) -> Diagnostic:
+    """A limit that is broken, or of which the reserve is used."""
+    evidence = {"amount": readable(found.beyond if found.broken else -found.use.room, found.use.unit), "at": found.at,
+                "log": found.log, **dict(zip("xyz", found.place, strict=True))}
+    if found.broken:
+        return Diagnostic.of("limit broken", (found.use.name,), evidence, (
+            "{log}: {subject} is beyond its limit by {amount} at {at:.2f} s, the tip at ({x:.2f}, {y:.2f}, {z:.2f}) "
+            "m."),
+            "Drive it slower or over less range, or correct the limit in the machine file.", Meaning.CONTRADICTION)
+    return Diagnostic.of("reserve used", (found.use.name,), evidence, (
+        "{log}: {subject} uses {amount} of its reserve at {at:.2f} s, the tip at ({x:.2f}, {y:.2f}, {z:.2f}) m."),
+        "Drive it slower or over less range, or state the reserve that suffices with --reserve.", Meaning.PROPERTY)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,12 +134,8 @@ class MotionCheck(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Angles and strokes in another unit, limits that are broken, and reserves that are used."""
-        misread = (found for name, path in self.motions.items() for found in self._misread(name, path))
-        return (*misread, *(Diagnostic(
-            Kind.LIMIT_BROKEN if each.broken else Kind.RESERVE_USED, (each.use.name,),
-            {"amount": readable(each.beyond if each.broken else -each.use.room, each.use.unit), "at": each.at,
-             "log": each.log, "x": each.place[0], "y": each.place[1], "z": each.place[2]})
-            for each in self.table if each.broken or each.short))
+        return (*(found for name, path in self.motions.items() for found in self._misread(name, path)),
+                *(_of_limit(each) for each in self.table if each.broken or each.short))
 
     def _misread(self, name: str, path: Trajectory) -> Iterator[Diagnostic]:
         """Joints that move by more than their range beyond it, and keep to it if their positions have another unit."""
@@ -139,7 +149,7 @@ class MotionCheck(Answer):
                 for unit in fitting[:1]:
                     by_unit.setdefault(unit, []).append(f"{joint}.q")
         for unit, channels in by_unit.items():
-            yield Diagnostic(Kind.LOG_MISREAD, tuple(channels), {
+            yield misread(channels, {
                 "log": name, "reading": f"{', '.join(channels)} in {unit}", "agrees": "agrees",
                 "read_so": "positions keep to the joints' ranges", "as_read": "they are far beyond them"})
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
-from hydroopt.checks.alternatives import Alternative, Scaled, alternatives
+from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.checks.sensors import beyond_relief, held_sensors, scattering, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.calibrator_angles import calibrator_channels
@@ -15,9 +15,10 @@ from hydroopt.logs.channels import is_force
 from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
 from hydroopt.model.model import Model
-from hydroopt.results.diagnostic import Diagnostic, of_kind
-from hydroopt.results.wording import Kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 
+LOG_MISREAD = "log misread"
+"""Kind of the diagnostic of a log that another reading brings into agreement with the machine file."""
 BETTER, LOWER = 0.5, 100.0
 """The best alternative reading must have at most this part of the score, or of an actuator's squares, and be lower by
 so much."""
@@ -65,7 +66,7 @@ def examine(model: Model, log: Log) -> tuple[Diagnostic, ...]:
     >>> examine(model, log)
     ()
     >>> flipped = replace(log, channels={**log.channels, "boom.q": -log.channels["boom.q"]})
-    >>> [(str(found.kind), found.subject) for found in examine(model, flipped)]
+    >>> [(found.kind, found.subject) for found in examine(model, flipped)]
     [('log misread', ('boom.q',))]
     """
     if calibrator_channels(model.machine, log):
@@ -75,19 +76,27 @@ def examine(model: Model, log: Log) -> tuple[Diagnostic, ...]:
     repeated = held_sensors(model.machine, held, where) if held is log else ()
     stuck = (*stuck_sensors(model.machine, held, where), *repeated)
     mistakes, corrected = ([], held) if stuck else _mistakes(model, held)
-    misread = (Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes)
-    return *stuck, *misread, *_contradictions(model, corrected, where)
+    contradicted = (misread(channels, {"log": where, **evidence}) for channels, evidence in mistakes)
+    return *stuck, *contradicted, *_contradictions(model, corrected, where)
+
+
+def misread(channels: Sequence[str], evidence: Mapping[str, object]) -> Diagnostic:
+    """A log with a mistake that refutes it; the evidence holds ``log``, ``reading``, ``agrees``, ``read_so``,
+    ``as_read``."""
+    return Diagnostic.of(LOG_MISREAD, channels, evidence, (
+        "Read with {reading}, {log} {agrees} with the machine file: {read_so}. As it is read, it contradicts the "
+        "machine file: {as_read}."),
+        "Correct unit, sign or column of {subject} in the file or its map; nothing was changed here.",
+        Meaning.REFUTATION)
 
 
 def misread_error(model: Model, log: Log) -> LogError | None:
     """The likeliest mistake in a log's units, signs, channels or clock as an error; None where none is found."""
     try:
-        misread = of_kind(examine(model, log), Kind.LOG_MISREAD)
+        found = of_kind(examine(model, log), LOG_MISREAD)
     except HydrooptError:
         return None
-    if not misread:
-        return None
-    return LogError(contradiction(misread[0]), where=log.path or log.name, remedy=remedy_of(misread[0]))
+    return LogError(contradiction(found[0]), where=log.path or log.name, remedy=remedy_of(found[0])) if found else None
 
 
 def contradiction(misread: Diagnostic) -> str:
@@ -170,7 +179,7 @@ def _clearer(made: Agreement, now: Agreement) -> bool:
 
 def _modest(one: Alternative) -> bool:
     """Whether another reading makes pressures so many times larger or smaller that a fault of the model may look so."""
-    return isinstance(one, Scaled) and is_force(one.channels[0]) and 1 / MODEST <= one.factor <= MODEST
+    return one.factor is not None and is_force(one.channels[0]) and 1 / MODEST <= one.factor <= MODEST
 
 
 def _forces_agree(made: Agreement, now: Agreement) -> bool:
@@ -196,16 +205,21 @@ def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
         slack = MARGIN * (high - low)
         share = float(np.mean((q < low - slack) | (q > high + slack)))
         if share > BEYOND:
-            yield Diagnostic(Kind.BEYOND_JOINT_LIMITS, (f"{joint}.q",), {
-                "log": where, "share": share, "low": float(np.min(q)), "high": float(np.max(q)),
-                "lower": low, "upper": high, "unit": machine.channel_units[f"{joint}.q"]})
+            yield Diagnostic.of("beyond joint limits", (f"{joint}.q",), {
+                "log": where, "share": share, "low": float(np.min(q)), "high": float(np.max(q)), "lower": low,
+                "upper": high, "unit": machine.channel_units[f"{joint}.q"]},
+                "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} "
+                "against {lower:.3g} to {upper:.3g} {unit}.",
+                "Correct the sensor's zero, its unit, or the limits in the machine file.", Meaning.CONTRADICTION)
     yield from _lengths(model, log, where)
     yield from scattering(machine, log, where)
     yield from beyond_relief(machine, log, where)
     low, high = stated_rate(machine.sensors, set(log.channels))
     hertz = 1 / float(np.median(np.diff(log.t)))
     if not low / 20 <= hertz <= OTHER_RATE * high:  # a log may keep only some of its sensors' samples
-        yield Diagnostic(Kind.OTHER_SAMPLING_RATE, (), {"log": where, "rate": hertz, "stated": high})
+        yield Diagnostic.of("other sampling rate", (), {"log": where, "rate": hertz, "stated": high}, (
+            "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz."),
+            "Correct the unit of time in the file or its map, or the rate of the sensors.", Meaning.CONTRADICTION)
 
 
 def _lengths(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
@@ -226,5 +240,9 @@ def _lengths(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
                         + (sensor.std if sensor else 0.0) ** 2)
         gap = float(np.mean(log.channels[name][few] - expected[:, k]))
         if abs(gap) > FAR * sigma:
-            yield Diagnostic(Kind.LENGTH_CONTRADICTS_ANGLE, (name,), {
-                "log": where, "gap_mm": 1e3 * gap, "sigma_mm": 1e3 * float(sigma)})
+            yield Diagnostic.of("length contradicts angle", (name,), {
+                "log": where, "gap_mm": 1e3 * gap, "sigma_mm": 1e3 * float(sigma)},
+                "In {log}, {subject} differs by {gap_mm:.0f} mm from what the joint angle and the pins give, where "
+                "{sigma_mm:.0f} mm are one standard deviation.",
+                "Correct the transducer's zero, the angle's zero, or pins and dead length in the machine file.",
+                Meaning.CONTRADICTION)

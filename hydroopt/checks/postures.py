@@ -14,14 +14,13 @@ from hydroopt.limits.postures import PostureLimits, held_link
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 
@@ -71,12 +70,20 @@ class PostureCheck(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Limits that poses break, reserves that they use, and poses that cannot be judged."""
         found = []
-        for kind, what in ((Kind.POSES_BREAK_LIMIT, "broken"), (Kind.POSES_USE_RESERVE, "short")):
-            for name in dict.fromkeys(name for each in self.poses for name in getattr(each, what)):
-                found.append(Diagnostic(kind, (name,), {"poses": self._named(
-                    [each for each in self.poses if name in getattr(each, what)])}))
+        for name in dict.fromkeys(name for each in self.poses for name in each.broken):
+            found.append(Diagnostic.of("poses break limit", (name,), {
+                "poses": self._named([each for each in self.poses if name in each.broken])},
+                "{subject} is beyond its limit in pose {poses}.",
+                "Leave these poses out, or correct the limit in the machine file.", Meaning.CONTRADICTION))
+        for name in dict.fromkeys(name for each in self.poses for name in each.short):
+            found.append(Diagnostic.of("poses use reserve", (name,), {
+                "poses": self._named([each for each in self.poses if name in each.short])},
+                "{subject} has less than its reserve in pose {poses}.",
+                "Leave these poses out, or state the reserve that suffices with --reserve.", Meaning.PROPERTY))
         if unknown := [each for each in self.poses if not each.judged]:
-            found.append(Diagnostic(Kind.POSES_NOT_JUDGED, (), {"poses": self._named(unknown)}))
+            found.append(Diagnostic.of("poses not judged", (), {"poses": self._named(unknown)}, (
+                "Limits are not judged in pose {poses}, of which the table does not state all joints."),
+                "Fill in their positions, or give the postures.csv of the plan."))
         return tuple(found)
 
     def _named(self, poses: Sequence[PoseOfTable]) -> str:

@@ -14,9 +14,8 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.quality import frozen, held, without_noise
 from hydroopt.logs.table import runs
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
-from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
+from hydroopt.machine.sensors import Sensor
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
 
 JUMP = 3.0
@@ -41,9 +40,13 @@ def beyond_relief(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
         for channel in part.chambers if part.relief_pressure else ():
             share = float(np.mean(log.channels.get(channel, np.zeros(1)) > RELIEF * (part.relief_pressure or 0.0)))
             if share > OFTEN:
-                yield Diagnostic(Kind.BEYOND_RELIEF, (channel,), {
+                yield Diagnostic.of("beyond relief pressure", (channel,), {
                     "log": where, "share": share, "highest_bar": float(np.nanmax(log.channels[channel])) / 1e5,
-                    "relief_bar": (part.relief_pressure or 0.0) / 1e5})
+                    "relief_bar": (part.relief_pressure or 0.0) / 1e5},
+                    "{subject} in {log} is far beyond its relief pressure of {relief_bar:.0f} bar in {share:.0f %} of "
+                    "the samples: up to {highest_bar:.0f} bar.",
+                    "Correct the unit of this column in the file or its map, or the relief pressure in the machine "
+                    "file.", Meaning.CONTRADICTION)
 
 
 def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
@@ -59,7 +62,7 @@ def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
     >>> head = log.channels["boom_cylinder.p_head"].copy()
     >>> head[400:] = head[400]
     >>> stuck = replace(log, channels={**log.channels, "boom_cylinder.p_head": head})
-    >>> [(str(found.kind), found.subject) for found in stuck_sensors(machine, stuck, "run")]
+    >>> [(found.kind, found.subject) for found in stuck_sensors(machine, stuck, "run")]
     [('sensor stuck', ('boom_cylinder.p_head',))]
     """
     if without_noise(log.channels):
@@ -81,10 +84,13 @@ def stuck_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic
 
 
 def _stuck(log: Log, channel: str, at: NDArray[np.int64], where: str, evidence: str) -> Diagnostic:
-    return Diagnostic(Kind.SENSOR_STUCK, (channel,), {
+    return Diagnostic.of("sensor stuck", (channel,), {
         "log": where, "count": int(at.size), "rows": runs(log.sample[at]), "evidence": evidence,
-        "value": float(log.channels[channel][at[0]]), "unit": log.units[channel],
-        "from_s": float(log.t[at[0]]), "to_s": float(log.t[at[-1]])})
+        "value": float(log.channels[channel][at[0]]), "unit": log.units[channel], "from_s": float(log.t[at[0]]),
+        "to_s": float(log.t[at[-1]])},
+        "{subject} is stuck at {value:.4g} {unit} in {count} samples of {log} (rows {rows}){evidence}.",
+        "Check this sensor and its wiring, record again, or leave these samples out: --treat stuck=drop.",
+        Meaning.CONTRADICTION)
 
 
 def _before_jumps(log: Log, channel: str) -> tuple[NDArray[np.int64], float]:
@@ -108,7 +114,11 @@ def held_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]
     if found:
         every = max(found.values())
         step = float(np.median(np.diff(log.t)))
-        yield Diagnostic(Kind.SENSOR_HELD, tuple(found), {"log": where, "every": every, "rate": 1 / (every * step)})
+        yield Diagnostic.of("sensor held", tuple(found), {"log": where, "every": every, "rate": 1 / (every * step)}, (
+            "{subject}: only one sample in {every} of {log} is a new reading ({rate:.3g} Hz); the others repeat it, "
+            "as many loggers do."),
+            "Leave the repeated samples out: --treat held=drop; or log each group of sensors with a clock of its own.",
+            Meaning.CONTRADICTION)
 
 
 def _moves(machine: Machine, log: Log, joint: str, channel: str, span: slice) -> bool:
@@ -139,9 +149,13 @@ def scattering(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
             if ratio > SCATTER:
                 others = [other for name, other in ratios.items() if name != channel]
                 usual = float(np.median(others)) if others else 1.0
-                yield Diagnostic(Kind.SENSOR_SCATTERS, (channel,), {
+                yield Diagnostic.of("sensor scatters beyond its accuracy", (channel,), {
                     "log": where, "ratio": ratio, "noise": ratio * sensor.std, "unit": log.units[channel],
-                    "others": usual, "reading": _other_unit(sensor, ratio / max(usual, 1 / SCATTER))})
+                    "others": usual, "reading": _other_unit(sensor, ratio / max(usual, 1 / SCATTER))},
+                    "{subject} in {log} scatters by {noise:.3g} {unit} from sample to sample, {ratio:.2g} times its "
+                    "stated accuracy{reading}.",
+                    "Correct the unit of this column in the file or its map, or the sensor's accuracy in the machine "
+                    "file.", Meaning.CONTRADICTION)
 
 
 def _other_unit(sensor: Sensor, ratio: float) -> str:

@@ -15,9 +15,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from hydroopt import interrupt, memory
-from hydroopt.cli import limits
-from hydroopt.cli.terminal import echo
-from hydroopt.cli.typed import WORDS
+from hydroopt.cli.command import Command, off_unless_given
+from hydroopt.cli.terminal import WORDS, echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
 JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
@@ -31,41 +30,6 @@ JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
 """Commands by job. A command is the function of its name in the module of its name; the docstring of that function is
 its help, whose last paragraph is an example."""
 COMMANDS = tuple(name for names in JOBS.values() for name in names)
-
-
-def off_unless_given(flag: Any) -> Any:
-    """The same option, off by default: to convert None to that, typer would import pydantic, which takes half of the
-    time of a help."""
-    if flag is not None and flag.default is None:
-        flag.default = False
-    return flag
-
-
-class Command(limits.Command):
-    """A command that keeps other processes from writing into its folder until it ends."""
-
-    def get_help_option(self, ctx: Any) -> Any:
-        """The option --help."""
-        return off_unless_given(super().get_help_option(ctx))
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
-        output = ctx.params.get("output")
-        if output is None:
-            return super().invoke(ctx)
-        from hydroopt.cli.options import refuse_inputs
-        from hydroopt.files import claimed, temporary_files
-
-        with claimed(output) as claim:
-            refuse_inputs(self, ctx.params)
-            temporary_files(Path(output))
-            try:
-                return super().invoke(ctx)
-            except KeyboardInterrupt:
-                if claim.written:
-                    raise StoppedError("interrupted after the result was written", where=str(output),
-                                       remedy="use it as it is") from None
-                raise
 
 
 class Deferred(TyperCommand):
@@ -168,7 +132,7 @@ app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from hydroopt.versions import version
+        from hydroopt.packages import version
 
         echo(f"hydroopt {version()}")
         raise typer.Exit

@@ -2,50 +2,30 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import continued, failure_saved, print_answer
-from hydroopt.cli.options import (
-    AsJson,
-    Directory,
-    Fixed,
-    Holdout,
-    LossName,
-    MachineName,
-    MapFile,
-    PoseTables,
-    Priors,
-    Quiet,
-    Seed,
-    Starts,
-    Validation,
-    loss_of,
-    parameter_values,
-    progress,
-)
+from hydroopt.cli.options import Holdout, LossName, PoseTables, Priors, Starts, Validation, loss_of
+from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.logs.poses import Poses
 
 
+@command(*ANSWER, "map_file", "fix", "seed")
 def calibrate(
-    machine: MachineName,
+    run: Run,
     tables: PoseTables,
-    output: Directory,
     validate: Validation = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
     holdout: Holdout = 0.0,
-    map_file: MapFile = None,
     method: Annotated[str, typer.Option(help="Method of estimation: joint or hierarchical.")] = "joint",
     loss: LossName = "squares",
-    fix: Fixed = None,
     compliance: Annotated[str | None, typer.Option(help=(
         "Joints that give way under gravity, separated by commas, or none, instead of the file's; 'auto': those whose "
         "compliance predicts held-out poses better."))] = None,
@@ -53,9 +33,6 @@ def calibrate(
     priors: Priors = True,
     leave_out: Annotated[bool, typer.Option("--without-suspects", help=(
         "Solve again without the stages, stretches and poses that contradict the others."))] = False,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine.
 
@@ -63,21 +40,17 @@ def calibrate(
     """
     import numpy as np
 
-    from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
-    from hydroopt.estimation.kinematic.calibrate import without_suspects
-    from hydroopt.estimation.kinematic.calibration import inputs_of
+    from hydroopt.estimation.kinematic.calibration import calibrate as solve_calibration
+    from hydroopt.estimation.kinematic.calibration import inputs_of, without_suspects
     from hydroopt.estimation.kinematic.compliance_choice import choose_compliance, compliant
     from hydroopt.estimation.kinematic.problem import calibration_problem
     from hydroopt.logs.poses import read_pose_files
-    from hydroopt.machine.machine_file import load_machine
-    from hydroopt.report import calibration as report
     from hydroopt.results.json_file import Job
 
-    began = time.perf_counter()
-    described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
-    with progress("reading poses", quiet) as say:
-        poses, held_out = _held_out(read_pose_files(tables, mapping=map_file), holdout_stage or (), holdout,
-                                    read_pose_files(validate, mapping=map_file) if validate else None)
+    described, chosen_loss = run.machine, loss_of(loss, "--loss")
+    with run.progress("reading poses") as say:
+        poses, held_out = _held_out(read_pose_files(tables, mapping=run.map_file), holdout_stage or (), holdout,
+                                    read_pose_files(validate, mapping=run.map_file) if validate else None)
         choice = None
         if compliance is not None:
             words = [word.strip() for word in compliance.split(",")]
@@ -88,19 +61,16 @@ def calibrate(
             joints = choice.joints if choice else [] if chosen == "none" else words
             described = compliant(described, poses, joints)
         problem = calibration_problem(described, poses, held_out, priors=priors).with_loss(chosen_loss)
-        problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
+        problem = problem.fixing(**run.fixed(problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
-        with failure_saved(output, Job.CALIBRATION, described, method, lambda: inputs_of(problem)):
+        with run.failure_saved(Job.CALIBRATION, method, lambda: inputs_of(problem)):
             say(f"{what}{len(poses)} poses", 0.05)
-            solved = solve_calibration(problem, method, starts=starts, seed=seed)
+            solved = solve_calibration(problem, method, starts=starts, seed=run.seed)
             if leave_out and np.any(solved.suspicious):
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree", 0.45)
                 solved = without_suspects(solved, starts=starts)
-        solved = continued(replace(solved, compliance_choice=choice), output)
-        say("writing the report", 0.8)
-        solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
-    print_answer(solved, output, str(solved) if choice is None else f"{choice}\n{solved}", quiet=quiet,
-                 as_json=as_json)
+        solved = run.saved(replace(solved, compliance_choice=choice), say)
+    run.show(solved, str(solved) if choice is None else f"{choice}\n{solved}")
 
 
 def _held_out(poses: Poses, stages: Sequence[str], part: float, extra: Poses | None) -> tuple[Poses, Poses | None]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli.options import MachineOrFolder, ParameterSetName, Quiet
+from hydroopt.cli.options import MachineOrFolder
+from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo, print_table
 from hydroopt.errors import MachineError, ProblemError
 
@@ -18,8 +20,9 @@ if TYPE_CHECKING:
 _ASKED = (("bore", "bore, e.g. 100 mm"), ("rod_diameter", "diameter of the rod, e.g. 56 mm"))
 
 
+@command("parameter_set", "quiet", machine=MachineOrFolder)
 def convert(
-    machine: MachineOrFolder,
+    run: Run,
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending names the format.")],
     tip: Annotated[str | None, typer.Option(metavar="LINK", help=(
         "Of a robot file, the link at the end of the chain to read; all joints if not given."))] = None,
@@ -27,8 +30,6 @@ def convert(
         "Of a robot file, TOML with a table for each cylinder that replaces a drive."))] = None,
     ask: Annotated[bool, typer.Option("--ask-cylinders", help=(
         "Of a robot file, ask joint by joint for a cylinder that replaces its drive."))] = False,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
 ) -> None:
     """Convert a machine or a calibrated estimate from one format to another: .toml, .urdf, .xml (MJCF), .sdf.
 
@@ -36,11 +37,11 @@ def convert(
     """
     from hydroopt.codegen.parameter_source import read
     from hydroopt.files import write_files
-    from hydroopt.input_file import is_directory
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES, load_machine
     from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
     from hydroopt.machine.robot_formats.writing import robot_files
 
+    machine = run.named
     robot = read_robot(machine, tip=tip) if Path(machine).suffix in ROBOT_SUFFIXES else None
     extra: dict[str, str] = {}
     replaced: tuple[str, ...] = ()
@@ -49,13 +50,13 @@ def convert(
             raise ProblemError("cylinders replace drives of a robot file without a sidecar only", where=machine,
                                remedy="state them in the machine file or the sidecar")
         described, extra, replaced = _on_cylinders(robot, machine, cylinders, target)
-    elif is_directory(machine):
-        described = read(machine, parameter_set=parameter_set)[0]
+    elif os.path.isdir(machine):
+        described = read(machine, parameter_set=run.parameter_set)[0]
     else:
-        described = load_machine(machine, parameter_set=parameter_set, tip=tip)
+        described = load_machine(machine, parameter_set=run.parameter_set, tip=tip)
     written = robot_files(described, target)
     write_files(target.parent, written.files | extra)
-    if not quiet:
+    if not run.quiet:
         echo(", ".join(str(target.parent / name) for name in (*written.files, *extra)))
         for lost in (*robot.lost, *replaced) if robot else ():
             echo(f"not in {Path(machine).name}'s machine: {lost}")

@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import continued, print_answer
-from hydroopt.cli.options import (
-    AsJson,
-    Directory,
-    Fixed,
-    MachineName,
-    PosesEach,
-    Priors,
-    Quiet,
-    Reserve,
-    Seed,
-    Starts,
-    parameter_values,
-    progress,
-    reserves_of,
-)
+from hydroopt.cli.options import PosesEach, Priors, Starts
+from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.calibrator.construction import SensorOffer, Workshop
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer, Workshop
     from hydroopt.machine.machine import Machine
 
 Range = tuple[str, str] | None
 
 
+@command(*ANSWER, "fix", "reserve", "seed")
 def design_calibrator(
-    machine: MachineName,
-    output: Directory,
+    run: Run,
     poses: PosesEach,
     length_std: Annotated[list[str] | None, typer.Option(metavar="[NAME=]LENGTH", help=(
         "Standard deviation to reach of all lengths of the machine's links, such as '2 mm', or of one, such as "
@@ -59,39 +44,31 @@ def design_calibrator(
     angle_error: Annotated[str, typer.Option(metavar="ANGLE", help=(
         "The same of its twists and of the zeros of its sensors."))] = "0 deg",
     priors: Priors = True,
-    fix: Fixed = None,
-    reserve: Reserve = None,
     starts: Starts = 3,
     effort: Annotated[float, typer.Option(min=0.01, help=(
         "Part of the usual number of random calibrators and steps; more searches longer."))] = 1.0,
-    seed: Seed = 0,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Design the calibrator of fewest or cheapest parts for a stated accuracy of all lengths: DIR gets calibrator.svg,
     parts.csv, the machine that carries it, and the poses to measure.
 
     Example: hydroopt design-calibrator cat215b -n 40 --length-std '3 mm' --keep grapple_swing --keep grapple -o out/rig
     """
-    from hydroopt.excitation.calibrator.design import design_calibrator as design
-    from hydroopt.excitation.calibrator.problem import calibrator_problem
-    from hydroopt.excitation.poses.problem import pose_problem
-    from hydroopt.machine.machine_file import load_machine
-    from hydroopt.report.calibrator import drawing, render
+    from hydroopt.excitation.selection.calibrator_design import design_calibrator as design
+    from hydroopt.excitation.selection.calibrator_problem import calibrator_problem
+    from hydroopt.excitation.selection.pose_problem import pose_problem
+    from hydroopt.report.calibrator import drawing
 
-    began = time.perf_counter()
-    described = load_machine(machine)
-    workshop = _workshop(described, longest, (ball_x, ball_y, ball_z), length_error, angle_error)
+    described = run.machine
     problem = calibrator_problem(
         described, poses, length_std=_lengths(length_std or ()), links=_links(links),
-        sensors=[_offer(text) for text in sensor or ()], link_cost=link_cost, keep=keep or (), workshop=workshop,
-        priors=priors, reserves=reserves_of(described, reserve or ()),
-        fixed=parameter_values(fix, pose_problem(described, 1).parameters) if fix else {})
-    with progress(f"designing a calibrator for {described.name}", quiet) as say:
-        found = continued(design(problem, starts=starts, effort=effort, seed=seed, progress=say), output)
-    found.save(output, pages={"report.html": render(found), "calibrator.svg": str(drawing(found))},
-               wall_s=time.perf_counter() - began)
-    print_answer(found, output, found.sheet(), quiet=quiet, as_json=as_json)
+        sensors=[_offer(text) for text in sensor or ()], link_cost=link_cost, keep=keep or (),
+        workshop=_workshop(described, longest, (ball_x, ball_y, ball_z), length_error, angle_error),
+        priors=priors, reserves=run.reserves,
+        fixed=run.fixed(pose_problem(described, 1).parameters) if run.fix else {})
+    with run.progress(f"designing a calibrator for {described.name}") as say:
+        found = design(problem, starts=starts, effort=effort, seed=run.seed, progress=say)
+        found = run.saved(found, say, {"calibrator.svg": str(drawing(found))})
+    run.show(found, found.sheet())
 
 
 def _lengths(stated: Sequence[str]) -> float | dict[str, float] | None:
@@ -117,7 +94,7 @@ def _links(text: str) -> tuple[int, int]:
 
 
 def _offer(text: str) -> SensorOffer:
-    from hydroopt.excitation.calibrator.construction import SensorOffer
+    from hydroopt.excitation.selection.calibrator_problem import SensorOffer
     from hydroopt.units import to_si
 
     accuracy, found, cost = text.partition("=")
@@ -134,7 +111,7 @@ def _workshop(machine: Machine, longest: str | None, ball: Sequence[Range], leng
     """What can be built: as usual for the machine, but for what the options say."""
     from dataclasses import replace
 
-    from hydroopt.excitation.calibrator.problem import usual_workshop
+    from hydroopt.excitation.selection.calibrator_problem import usual_workshop
     from hydroopt.units import to_si
 
     usual = usual_workshop(machine)

@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import print_answer
 from hydroopt.cli.options import (
-    AsJson,
     AsParquet,
-    Directory,
     EstimateFolder,
     Focus,
-    MachineName,
-    MapFile,
-    ParameterSetName,
     Priors,
     Processes,
-    Quiet,
     Rate,
-    Reserve,
-    Seed,
     Starts,
-    progress,
+    named_values,
     refuse_given,
-    reserves_of,
 )
+from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -43,13 +33,12 @@ PERIODS = 2.5
 """Periods of a slow machine's bandwidth that entry and exit take: in 2 smoothing takes twice as much from them."""
 
 
+@command(*ANSWER, "map_file", "parameter_set", "reserve", "seed")
 def excite(
-    machine: MachineName,
-    output: Directory,
+    run: Run,
     log: Annotated[list[Path] | None, typer.Option(
         metavar="LOG...",
         help="Log already measured, to which the motion is to add; repeatable.")] = None,
-    map_file: MapFile = None,
     duration: Annotated[float, typer.Option(help="Duration of the motion [s].")] = 33.0,
     period: Annotated[float | None, typer.Option(
         help="Of the Fourier series [s]; else what entry and exit leave of the duration.")] = None,
@@ -63,7 +52,6 @@ def excite(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
         help="Joint that rests, JOINT=POSITION with unit, e.g. 'swing=0 deg'; repeatable.")] = None,
-    reserve: Reserve = None,
     estimate: EstimateFolder = None,
     speed: Annotated[str, typer.Option(help=(
         "Part of the designed speed at which trajectory and C code drive the same path, e.g. '30 %'."))] = "100 %",
@@ -79,11 +67,7 @@ def excite(
     search_seconds: Annotated[float | None, typer.Option(
         help="Time limit of the search [s]; the best motion so far then depends on the computer's speed.",
         min=1.0)] = None,
-    seed: Seed = 0,
     parquet: AsParquet = False,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Design the motion with the most information: DIR gets it, the accuracy to expect, and C code.
 
@@ -97,54 +81,49 @@ def excite(
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.approach import start_of
-    from hydroopt.excitation.motion.design import at_pace, excitation_problem
-    from hydroopt.excitation.motion.known import identified
+    from hydroopt.excitation.motion.design import excitation_problem
+    from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.files import refuse_places
     from hydroopt.logs.log_files import read_log
-    from hydroopt.report import excitation as report
-    from hydroopt.report import operator_sheet
+    from hydroopt.report.excitation import render_sheet
     from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
     from hydroopt.units import to_si
 
-    began = time.perf_counter()
     if pieces is not None:
         refuse_given({"--period": period, "--harmonics": harmonics, "--blend": blend}, "a spline has none",
                      "leave it out, or --pieces")
     if not log:
-        refuse_given({"--map": map_file}, "there is no log that it could describe", "leave it out, or give --log")
-    refuse_places(output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
-                              "trajectory.parquet", "approach.csv", "approach.parquet"))
-    described, origin = parameter_source.read(machine, parameter_set=parameter_set)
+        refuse_given({"--map": run.map_file}, "there is no log that it could describe", "leave it out, or give --log")
+    refuse_places(run.output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
+                               "trajectory.parquet", "approach.csv", "approach.parquet"))
+    described, origin = parameter_source.read(run.named, parameter_set=run.parameter_set)
     basis = _basis(duration, pieces, period, harmonics, blend, described.bandwidth)
     resting = _positions(described, rest or (), "--rest")
-    reserves, pace, standing = reserves_of(described, reserve or ()), to_si(speed, "1", where="--speed"), _positions(
-        described, start or (), "--start")
+    pace, standing = to_si(speed, "1", where="--speed"), _positions(described, start or (), "--start")
     if not 0 < pace <= 1:
         raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
                            remedy="give more than 0 and at most 100 %, such as '50 %'")
     start_of(described, standing, np.zeros(len(described.joints)))  # refused before the search
-    with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
-        logs = [read_log(path, mapping=map_file) for path in log or ()]
+    with run.progress(f"stating limits and information of {described.name}'s motion") as say:
+        logs = [read_log(path, mapping=run.map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
-                                     logs=logs, rate=rate, resting=resting, reserves=reserves,
+                                     logs=logs, rate=rate, resting=resting, reserves=run.reserves,
                                      known=None if estimate is None else identified(described, estimate))
         say("taking the first steps of each start")
-        motion = solve(problem, starts=starts, seed=seed, search_seconds=search_seconds,
+        motion = solve(problem, starts=starts, seed=run.seed, search_seconds=search_seconds,
                        processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
-        motion = at_pace(motion, pace)
+        motion = motion.at_pace(pace)
         if start:
             say("planning the approach", 0.8)
             motion = motion.approached_from(standing)
-        say("computing the expected accuracy, writing the report and the code", 0.8)
+        say("computing the expected accuracy, writing the code", 0.8)
         code = Code(described, origin, routines=["excitation"],
                     designed_motion=DesignedMotion(motion.function, motion.problem.basis.duration))
-        pages: dict[str, str | bytes | None] = {"report.html": report.render(motion),
-                                                "sheet.html": operator_sheet.render(motion)}
-        pages |= {f"c/{name}": text for name, text in code.files_for(output / "c").items()}
-        motion.save(output, pages=pages, wall_s=time.perf_counter() - began, parquet=parquet)
-    print_answer(motion, output, quiet=quiet, as_json=as_json)
+        written = {f"c/{name}": text for name, text in code.files_for(run.output / "c").items()}
+        motion = run.saved(motion, say, {"sheet.html": render_sheet(motion), **written}, parquet=parquet)
+    run.show(motion)
 
 
 def _basis(duration: float, pieces: int | None, period: float | None, harmonics: int | None, blend: float | None,
@@ -173,11 +152,6 @@ def _positions(machine: Machine, stated: Sequence[str], option: str) -> dict[str
     """Positions [rad, m] by joint, from JOINT=POSITION texts."""
     from hydroopt.units import to_si
 
-    at = {}
-    for text in stated:
-        joint, found, value = (part.strip() for part in text.partition("="))
-        if not found:
-            raise ProblemError(f"'{text}' is not JOINT=POSITION", where=option,
-                               remedy=f"write e.g. {option} 'swing=0 deg'")
-        at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"{option} {joint}")
-    return at
+    return {joint: to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"{option} {joint}")
+            for joint, value in named_values(
+                stated, option, "'swing=0 deg'", "JOINT=POSITION").items()}

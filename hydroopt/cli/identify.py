@@ -2,38 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import continued, failure_saved, print_answer
-from hydroopt.cli.options import (
-    AsJson,
-    Bandwidth,
-    Directory,
-    Fixed,
-    Holdout,
-    LossName,
-    MachineName,
-    MapFile,
-    ParameterSetName,
-    Quiet,
-    Seed,
-    SmoothingText,
-    TrainingLogs,
-    Treat,
-    Validation,
-    distance_of,
-    logs_read,
-    loss_of,
-    parameter_values,
-    parted,
-    progress,
-    smoothing_of,
-)
+from hydroopt.cli.options import Holdout, LossName, TrainingLogs, Validation, distance_of, loss_of
+from hydroopt.cli.run import ANSWER, LOGS, SMOOTHING, Run, command
 from hydroopt.errors import ProblemError, SolverError
 
 if TYPE_CHECKING:
@@ -41,20 +17,16 @@ if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.problem import IdentificationProblem
 
 
+@command(*ANSWER, *LOGS, *SMOOTHING, "fix", "seed")
 def identify(
-    machine: MachineName,
+    run: Run,
     logs: TrainingLogs,
-    output: Directory,
     validate: Validation = None,
     holdout: Holdout = 0.0,
-    map_file: MapFile = None,
-    treat: Treat = None,
     method: Annotated[str, typer.Option(help="Method of estimation: sdp, qp, nlp, wls, ridge or tsvd.")] = "sdp",
     loss: LossName = "squares",
     distance: Annotated[str, typer.Option(
         help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
-    smoothing: SmoothingText = "spline",
-    bandwidth: Bandwidth = None,
     fitted_motion: Annotated[bool, typer.Option("--fitted-motion", help=(
         "Fit the motion together with the parameters, from angles and forces, instead of smoothing it beforehand."))
         ] = False,
@@ -74,7 +46,6 @@ def identify(
         "Friction terms of all actuators instead of the file's: coulomb, viscous, stribeck, reverse, seal, dead_zone "
         "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
         "with the fewest terms."))] = None,
-    fix: Fixed = None,
     constraint: Annotated[list[str] | None, typer.Option(metavar="RELATION", help=(
         "Linear relation that must hold, with ==, <= or >= and units, e.g. 'boom.m + 0.5*stick.m == 2518 kg'; "
         "repeatable."))] = None,
@@ -87,10 +58,6 @@ def identify(
     force: Annotated[bool, typer.Option("--force", help=(
         "Save the calibrated machine even if the logs contradict the machine file as they are read."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
-    seed: Seed = 0,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine.
 
@@ -100,13 +67,10 @@ def identify(
     from hydroopt.estimation.dynamic.estimate import inputs_of
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.problem import identification_problem
-    from hydroopt.machine.machine_file import dump_machine, load_machine
-    from hydroopt.report import identification
+    from hydroopt.machine.machine_file import dump_machine
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
-    began = time.perf_counter()
-    described = load_machine(machine, parameter_set=parameter_set)
     chosen = method_of(method)
     if ridge is not None and chosen != "ridge":
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
@@ -115,16 +79,15 @@ def identify(
     if geometry and (friction == "auto" or len(sets) > 1):
         raise ProblemError("geometry cannot be estimated while friction terms are chosen", where="--with-geometry",
                            remedy="choose them first, and give the chosen set")
-    way = smoothing_of(smoothing, bandwidth, described)
-    train, held_out = (logs_read(paths, described, map_file, treat) for paths in (logs, validate or ()))
-    train, held_out = parted(train, held_out, holdout)
+    described, smoothing = run.machine, run.smoothing
+    train, held_out = run.parted(logs, validate, holdout)
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:
         problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), fitted_motion, instruments,
-                                     map_file)
+                                     run.map_file)
         problem = problem.with_correlated_channels() if correlated else problem
-        for name, value in parameter_values(fix or (), problem.parameters).items():
+        for name, value in run.fixed(problem.parameters).items():
             problem = problem.fix(name, value)
         for relation in constraint or ():
             problem = problem.subject_to(relation, relation)
@@ -132,31 +95,29 @@ def identify(
             problem = problem.with_prior(statement, statement)
         return problem.free(*(word.strip() for word in free.split(","))) if free else problem
 
-    with progress(f"identifying {described.name}", quiet) as say:
-        stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)
-        with failure_saved(output, Job.IDENTIFICATION, described, method, lambda: inputs_of(stated())):
+    with run.progress(f"identifying {described.name}") as say:
+        stated = partial(identification_problem, described, train, held_out, actuator_inertia=full,
+                         smoothing=smoothing)
+        with run.failure_saved(Job.IDENTIFICATION, method, lambda: inputs_of(stated())):
             if friction is None or len(sets) == 1:
                 problem = prepared(stated() if friction is None else friction_problem(
-                    described, train, held_out, sets[0], actuator_inertia=full, smoothing=way))
-                estimate = solve(CombinedProblem(problem, way) if geometry else problem, chosen, tolerance=tolerance,
-                                 ridge=ridge, seed=seed)
+                    described, train, held_out, sets[0], actuator_inertia=full, smoothing=smoothing))
+                estimate = solve(CombinedProblem(problem, smoothing) if geometry else problem, chosen,
+                                 tolerance=tolerance, ridge=ridge, seed=run.seed)
             else:
-                estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
+                estimate = choose_friction(described, train, held_out, sets or None, smoothing=smoothing,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
-                                           ridge=ridge, seed=seed)
-        estimate = continued(estimate, output)
+                                           ridge=ridge, seed=run.seed)
         say("testing the fit", 0.4)
         _ = estimate.diagnostics  # computed here, and kept
-        say("writing the report", 0.7)
-        pages = {"report.html": identification.render(estimate)}
-        if force and estimate.refuted:
-            pages[f"{estimate.machine_name}.toml"] = dump_machine(estimate.machine)
-        estimate.save(output, pages=pages, wall_s=time.perf_counter() - began)
+        kept = {f"{estimate.machine_name}.toml": dump_machine(estimate.machine)} if force and estimate.refuted else {}
+        estimate = run.saved(estimate, say, kept)
     choice = estimate.friction_choice
     text = str(estimate) if choice is None else f"{choice}\n{choice.rule}\n{estimate}"
-    print_answer(estimate, output, text, quiet=quiet, as_json=as_json)
+    run.show(estimate, text, forced=True)
     if estimate.refuted and not force:
-        raise SolverError("the logs contradict the machine file, and no calibrated machine is saved", where=str(output),
+        raise SolverError("the logs contradict the machine file, and no calibrated machine is saved",
+                          where=str(run.output),
                           remedy="correct what the diagnostics name, or save it all the same with --force")
 
 

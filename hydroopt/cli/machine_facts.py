@@ -9,14 +9,12 @@ import numpy as np
 
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
-from hydroopt.estimation.motion.expected import DURATION, NAME, expected_calibration
+from hydroopt.estimation.motion.sensor_calibration import DURATION, NAME, expected_calibration
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.cylinder_checks import Span, over_range, spans
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.loop_checks import LoopRange, loop_ranges
+from hydroopt.machine.loops import Coupling
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.other_ways import other_ways
+from hydroopt.machine.range_checks import LoopRange, Span, loop_ranges, other_ways, over_range, spans
 from hydroopt.model.model import recent_model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -91,7 +89,7 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
 
 
 def _linkages(machine: Machine) -> list[dict[str, Any]]:
-    ways = {each.loop: str(each) for each in other_ways(machine)}
+    ways = other_ways(machine)
     return [facts | {"assembly": ways.get(facts["linkage"], "")}
             for facts in (_linkage_facts(machine, each) for each in loop_ranges(machine))]
 

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from inspect import unwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hydroopt.errors import ProblemError
-from hydroopt.input_file import is_directory
 from hydroopt.machine.bundled_files import bundled_files
-from hydroopt.progress import Progress
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
     from hydroopt.limits.reserves import Reserves
-    from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
@@ -80,9 +73,11 @@ Focus = Annotated[list[str] | None, typer.Option(help=(
     "Parameter that alone counts; for excite also a part, payload or friction; repeatable."))]
 SetUp = Annotated[list[str] | None, typer.Option("--setup", help=(
     "Set-up of instruments whose pose is not known; repeatable; each stage is measured in all."))]
+Minutes = Annotated[list[str] | None, typer.Option(metavar="NAME=MINUTES", help=(
+    "What a reading takes, such as tape=3; 0 for one that needs no hand; repeatable."))]
 Rate = Annotated[float | None, typer.Option(help=(
     "Samples per second [Hz]; the highest that the machine file states for a joint's sensor, or 50, if not given."))]
-SmoothingText = Annotated[str, typer.Option(help=(
+SmoothingText = Annotated[str, typer.Option("--smoothing", help=(
     "spline (weight from the stated noise), spline:cv (cross-validated), two-weights:SPEED:ACCELERATION (the thesis's "
     "filter: weights on their squares, s^2 and s^4), fourier:PERIOD:HARMONICS or "
     "butterworth:HZ."))]
@@ -98,21 +93,6 @@ Reserve = Annotated[list[str] | None, typer.Option("--reserve", metavar="PART|KI
 EstimateFolder = Annotated[Path | None, typer.Option("--estimate", metavar="DIR", help=(
     "Directory that identify wrote from this machine file: pressures, valves and tipping keep reserves under what it "
     "leaves uncertain, instead of the file's confidences."))]
-
-
-@contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Progress]:
-    """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
-    if quiet or not sys.stderr.isatty():  # rich takes longer to load than many a job
-        yield lambda text, part=None: None
-        return
-    from rich.console import Console
-
-    from hydroopt.cli.progress_line import progress_line
-
-    with progress_line(Console(stderr=True)) as shown:
-        task = shown.add_task(what, total=1.0)
-        yield lambda text, part=None: shown.update(task, description=text, completed=part)
 
 
 def distance_of(text: str, where: str) -> Distance:
@@ -156,31 +136,6 @@ def reserves_of(machine: Machine, stated: Sequence[str]) -> Reserves:
     return Reserves.stated(stated)
 
 
-def refuse_inputs(command: Any, given: Mapping[str, object]) -> None:
-    """Refuse an output directory that holds a file or a folder which the command reads, at any depth.
-
-    Args:
-        command: whose function states which of its parameters are paths.
-        given: their values by name.
-
-    Raises:
-        ProblemError: the directory holds one of them.
-    """
-    output, kinds = os.path.realpath(str(given["output"])), get_type_hints(unwrap(command.callback))
-    for parameter in command.params:
-        value = given.get(parameter.name)
-        if parameter.name == "output" or value is None:
-            continue
-        folders = "Path" in str(kinds.get(parameter.name)) or "DIR" in (parameter.metavar or "")
-        for text in map(str, value if isinstance(value, list | tuple) else [value]):
-            for part in (text, text.rpartition(":")[2]):  # MASS:LOG
-                if os.path.isfile(part) or (folders and is_directory(part) and part not in bundled_files()):
-                    path = os.path.realpath(part)
-                    if os.path.commonpath((output, path)) == output:
-                        raise ProblemError(f"this directory holds '{part}', which the command reads",
-                                           where=str(given["output"]), remedy="choose another directory with -o")
-
-
 def refuse_given(options: Mapping[str, object], why: str, remedy: str) -> None:
     """Refuse options that would have no effect: those of these values by name that are not None.
 
@@ -204,13 +159,39 @@ def treatment_of(stated: list[str] | None) -> dict[str, str]:
     Raises:
         ProblemError: a text has another form.
     """
-    pairs = {}
-    for text in stated or ():
-        kind, found, action = text.partition("=")
-        if not found:
-            raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
-        pairs[kind] = action
-    return pairs
+    return named_values(stated or (), "--treat", "nan=drop", "KIND=ACTION")
+
+
+def named_values(stated: Sequence[str], option: str, example: str, form: str = "NAME=VALUE") -> dict[str, str]:
+    """Values by name, from texts of such a form.
+
+    Raises:
+        ProblemError: a text has another form.
+    """
+    found = {}
+    for text in stated:
+        name, sign, value = (part.strip() for part in text.partition("="))
+        if not sign:
+            raise ProblemError(f"'{text}' is not {form}", where=option,
+                               remedy=f"write, for instance, {option} {example}")
+        found[name] = value
+    return found
+
+
+def minutes_of(stated: Sequence[str]) -> dict[str, float]:
+    """Minutes that readings take, by name.
+
+    Raises:
+        ProblemError: a text has another form.
+    """
+    spent = {}
+    for name, text in named_values(stated, "--minutes", "tape=3").items():
+        try:
+            spent[name] = float(text)
+        except ValueError:
+            raise ProblemError(f"'{text}' is not a number of minutes", where="--minutes",
+                               remedy="write, for instance, --minutes tape=3") from None
+    return spent
 
 
 def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
@@ -260,34 +241,3 @@ def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[st
         values[name] = to_si(value, parameters.units[k], where=f"--fix {name}") if found else float(
             parameters.nominal[k])
     return values
-
-
-def logs_read(paths: Sequence[Path], machine: Machine, map_file: Path | None, treat: list[str] | None) -> list[Log]:
-    """All logs of a command, each with the same map, treatment and pressure limits."""
-    from hydroopt.logs.log_files import read_log
-
-    return [read_log(path, mapping=map_file, treatment=treatment_of(treat), limits=reliefs(machine)) for path in paths]
-
-
-def parted(train: list[Log], validation: list[Log], holdout: float) -> tuple[list[Log], list[Log]]:
-    """Training logs without the part of their end that is held out, and validation logs with it."""
-    if not holdout:
-        return train, validation
-    pairs = [log.split(1 - holdout) for log in train]
-    return [pair[0] for pair in pairs], [*validation, *(pair[1] for pair in pairs)]
-
-
-def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: Path | None,
-               treat: list[str] | None) -> list[Log] | Path:
-    """The logs of a session, or the one directory that `hydroopt identify` wrote from them.
-
-    Raises:
-        ProblemError: there is a directory beside other paths.
-        LogError: a log cannot be read.
-    """
-    if not any(is_directory(path) for path in paths):
-        return logs_read(paths, machine, map_file, treat)
-    if len(paths) > 1:
-        raise ProblemError("a directory stands for a whole session", where=option,
-                           remedy="give one directory, or logs only")
-    return paths[0]

@@ -6,15 +6,14 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import Directory, MachineName, Quiet
+from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo
 
 
+@command("output", "quiet")
 def plan_valve_test(
-    machine: MachineName,
-    output: Directory,
+    run: Run,
     per_actuator: Annotated[float, typer.Option(help="Duration of the test of each actuator [s].")] = 10.0,
-    quiet: Quiet = False,
 ) -> None:
     """Plan a test of the valves: DIR gets sheet.txt to drive by, and steps.csv for a controller.
 
@@ -24,11 +23,10 @@ def plan_valve_test(
     """
     from hydroopt.control.valve_test import valve_test
     from hydroopt.files import write_files
-    from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.plant import Plant
 
-    test = valve_test(Plant(load_machine(machine)), seconds=per_actuator)
+    test = valve_test(Plant(run.machine), seconds=per_actuator)
     sheet = test.sheet()
-    write_files(output, {"sheet.txt": sheet, "steps.csv": test.table()})
-    if not quiet:
+    write_files(run.output, {"sheet.txt": sheet, "steps.csv": test.table()})
+    if not run.quiet:
         echo(sheet)

@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import (
-    AsParquet,
-    Directory,
-    MachineName,
-    MapFile,
-    MotionFile,
-    Noise,
-    ParameterSetName,
-    Quiet,
-    Rate,
-    Seed,
-    progress,
-)
+from hydroopt.cli.options import AsParquet, MotionFile, Noise, Rate
+from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError
 
@@ -40,9 +29,9 @@ HALVINGS = 6
 """How often the amplitude of a random motion is halved until supply and joint ranges allow it."""
 
 
+@command("output", "map_file", "seed", "parameter_set", "quiet")
 def simulate(
-    machine: MachineName,
-    output: Directory,
+    run: Run,
     motion: MotionFile = None,
     driven: Annotated[bool, typer.Option("--driven", help=(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
@@ -52,19 +41,15 @@ def simulate(
         "Drive the test of plan-valve-test; the log contains commands and supply, too."))] = False,
     poses: Annotated[Path | None, typer.Option("--postures", help=(
         "Postures at which the machine stands still, such as postures.csv of plan-poses; DIR gets poses.csv."))] = None,
-    map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help=(
         f"Duration of the motion [s]; {DURATION} if not given."))] = None,
     rate: Rate = None,
-    seed: Seed = 0,
     truth: Annotated[str, typer.Option(
         help="True parameters: 'nominal', or 'random' within the file's confidences.")] = "nominal",
     truth_seed: Annotated[int | None, typer.Option(help=(
         "Seed of the random truth alone, so that several logs share it."), min=0)] = None,
     noise: Noise = True,
     parquet: AsParquet = False,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
 ) -> None:
     """Simulate the log, or the poses, that a machine's sensors would record: DIR gets log.csv and truth.json.
 
@@ -74,7 +59,6 @@ def simulate(
     """
     from hydroopt.files import write_files
     from hydroopt.logs.log_files import read_log
-    from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
     from hydroopt.results.diagnostic import listed
@@ -82,7 +66,7 @@ def simulate(
     from hydroopt.simulation import simulate as simulation
     from hydroopt.simulation.reference_motion import reference_motion
 
-    described = load_machine(machine, parameter_set=parameter_set)
+    described, seed = run.machine, run.seed
     if truth not in ("nominal", "random"):
         raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
                            remedy="use nominal or random")
@@ -90,10 +74,9 @@ def simulate(
         if driven or tested or motion is not None or commands is not None or duration is not None or rate is not None:
             raise ProblemError("poses are at rest", where="--postures", remedy="leave out --driven, "
                                "--valve-test, --motion, --commands, --duration and --rate")
-        with progress("simulating", quiet):
-            said = _poses(described, poses, map_file, output, random=truth == "random", noise=noise, seed=seed,
-                          truth_seed=truth_seed, parquet=parquet)
-        if not quiet:
+        with run.progress("simulating"):
+            said = _poses(run, poses, random=truth == "random", noise=noise, truth_seed=truth_seed, parquet=parquet)
+        if not run.quiet:
             echo(said)
         return
     model = Model(described)
@@ -107,7 +90,7 @@ def simulate(
         raise ProblemError("a test of the valves has steps of its own", where="--valve-test",
                            remedy="leave out --driven, --motion, --commands and --duration")
     draw, random, smaller = seed if truth_seed is None else truth_seed, truth == "random", ""
-    with progress("choosing motion and truth", quiet) as say:
+    with run.progress("choosing motion and truth") as say:
         psi = simulation.random_truth(model, draw) if random else model.parameters.nominal
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
         if driven or tested or commands is not None:
@@ -119,10 +102,10 @@ def simulate(
             log = _tested(plant, psi, theta, rate, noise=noise, seed=seed)
         elif driven or commands is not None:
             if commands is not None:
-                tries = [partial(_commands, plant, read_log(commands, mapping=map_file))]
+                tries = [partial(_commands, plant, read_log(commands, mapping=run.map_file))]
             else:
                 path = (_standing(described, _random(model, duration, rate, seed)) if motion is None
-                        else reference_motion(described, read_log(motion, mapping=map_file)))
+                        else reference_motion(described, read_log(motion, mapping=run.map_file)))
                 sizes = [0.5**k for k in range(1 if motion is not None else HALVINGS + 1)]
                 tries = [partial(_driving, plant, path, psi, theta, size) for size in sizes]
             say("driving the valves", 0.2)
@@ -130,16 +113,16 @@ def simulate(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
-                    else reference_motion(described, read_log(motion, mapping=map_file)))
+                    else reference_motion(described, read_log(motion, mapping=run.map_file)))
             say("simulating", 0.4)
             log = simulation.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
         say("writing", 0.8)
         name = "log.parquet" if parquet else "log.csv"
-        write_files(output, {name: log.encoded(parquet=parquet), "truth.json": json.dumps(
+        write_files(run.output, {name: log.encoded(parquet=parquet), "truth.json": json.dumps(
             {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
             indent=1)})
-    if not quiet:
-        echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+    if not run.quiet:
+        echo(f"{run.output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
         exact = [channel for channel in log.channels if described.sensor(channel) is None]
         if noise and exact:
             echo(f"Without errors, since the machine file states no accuracy in [[sensors]]: {listed(exact, 8)}")
@@ -156,21 +139,21 @@ def _tested(plant: Plant, psi: Array, theta: Array, rate: float | None, *, noise
                        noise=noise, seed=seed)
 
 
-def _poses(machine: Machine, file: Path, map_file: Path | None, output: Path, *, random: bool, noise: bool, seed: int,
-           truth_seed: int | None, parquet: bool) -> str:
+def _poses(run: Run, file: Path, *, random: bool, noise: bool, truth_seed: int | None, parquet: bool) -> str:
     """Simulate and write a table of poses, with the truth; returns what to print."""
     from hydroopt.files import write_files
     from hydroopt.logs.poses import read_poses
     from hydroopt.model.closed_chain import KinematicModel
     from hydroopt.simulation.pose_table import simulate_poses
 
-    found = simulate_poses(KinematicModel(machine), read_poses(file, mapping=map_file), random=random, noise=noise,
-                           seed=seed, truth_seed=truth_seed)
+    machine = run.machine
+    found = simulate_poses(KinematicModel(machine), read_poses(file, mapping=run.map_file), random=random, noise=noise,
+                           seed=run.seed, truth_seed=truth_seed)
     name = "poses.parquet" if parquet else "poses.csv"
-    write_files(output, {name: found.poses.encoded(parquet=parquet), "truth.json": json.dumps(
-        {"machine": machine.name, "sha256": machine.sha256, "seed": seed, "noise": noise, "parameters": found.truth},
-        indent=1)})
-    return f"{output / name}: {len(found.poses)} poses, channels {', '.join(found.poses.channels)}"
+    write_files(run.output, {name: found.poses.encoded(parquet=parquet), "truth.json": json.dumps(
+        {"machine": machine.name, "sha256": machine.sha256, "seed": run.seed, "noise": noise,
+         "parameters": found.truth}, indent=1)})
+    return f"{run.output / name}: {len(found.poses)} poses, channels {', '.join(found.poses.channels)}"
 
 
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> Trajectory:

@@ -10,27 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli import Command, Group, limits
-from hydroopt.cli.options import (
-    AsJson,
-    Directory,
-    Fixed,
-    MachineName,
-    MapFile,
-    MotionFile,
-    ParameterSetName,
-    PoseTables,
-    Processes,
-    Quiet,
-    Rate,
-    Seed,
-    TrainingLogs,
-    Treat,
-    logs_read,
-    parameter_values,
-    progress,
-    refuse_given,
-)
+from hydroopt.cli import Group
+from hydroopt.cli.command import Command, refuse
+from hydroopt.cli.options import MotionFile, Processes, Rate, TrainingLogs, refuse_given
+from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError, StoppedError
 
@@ -40,10 +23,10 @@ if TYPE_CHECKING:
     from hydroopt.study.study import Study
     from hydroopt.study.table import Table
 
-Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
 Duration = Annotated[float | None, typer.Option(help=(
     "Duration of the motion [s]; 33.28 if not given."))]
+Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
     "certificates of Dask's configuration.")]
@@ -53,7 +36,7 @@ app = typer.Typer(cls=Group, add_completion=False, rich_markup_mode=None)
 
 @app.callback()
 def study() -> None:
-    """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
+    """Monte Carlo or bootstrap: DIR gets every cell, results.csv, summary.json and report.html.
 
     The same command resumes an interrupted study.
 
@@ -62,121 +45,27 @@ def study() -> None:
 
 
 @app.command(cls=Command)
+@command(*ANSWER, "map_file", "parameter_set", "seed")
 def montecarlo(
-    machine: MachineName,
-    output: Directory,
-    cells: Cells = 100,
-    seed: Seed = 0,
+    run: Run,
+    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
+    vary: Annotated[list[str] | None, typer.Option(help=(
+        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
+        "of random motions; several make a grid."))] = None,
     method: MethodName = "sdp",
     motion: MotionFile = None,
-    map_file: MapFile = None,
     duration: Duration = None,
     rate: Rate = None,
     processes: Processes = None,
     scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
-    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, {})
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def sweep(
-    machine: MachineName,
-    output: Directory,
-    vary: Annotated[list[str], typer.Option(help=(
-        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
-        "of random motions; several make a grid."))],
-    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
-    seed: Seed = 0,
-    method: MethodName = "sdp",
-    motion: MotionFile = None,
-    map_file: MapFile = None,
-    duration: Duration = None,
-    rate: Rate = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Repeat the Monte Carlo study over a grid of sensor errors, durations and rates."""
-    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, _grid(vary))
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def bootstrap(
-    machine: MachineName,
-    logs: TrainingLogs,
-    output: Directory,
-    cells: Cells = 100,
-    seed: Seed = 0,
-    method: MethodName = "sdp",
-    map_file: MapFile = None,
-    treat: Treat = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.cli.identify import method_of
-        from hydroopt.study import bootstrap as study
-
-        read = logs_read(logs, described, map_file, treat)
-        return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
-
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-@app.command(cls=Command)
-def multistart(
-    machine: MachineName,
-    tables: PoseTables,
-    output: Directory,
-    cells: Cells = 100,
-    seed: Seed = 0,
-    method: Annotated[str, typer.Option(help="Method of estimation: see hydroopt calibrate.")] = "joint",
-    map_file: MapFile = None,
-    fix: Fixed = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Calibrate the geometry from random initial guesses: which optima they lead to."""
-    def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.estimation.kinematic.problem import calibration_problem
-        from hydroopt.logs.poses import read_pose_files
-        from hydroopt.study import multistart as study
-
-        read = read_pose_files(tables, mapping=map_file)
-        problem = calibration_problem(described, read)
-        held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
-        return study.multistart(described, read, cells=cells, seed=seed, method=method, fixed=held), study.summary
-
-    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
-
-
-Summary = Callable[["Study", "Table"], dict[str, Any]]
-"""What a kind of study makes of its table."""
-
-
-def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_file: Path | None,
-                duration: float | None, rate: float | None,
-                grid: dict[str, list[float]]) -> Callable[[Machine], tuple[Study, Summary]]:
+    grid = _grid(vary or ())
     if motion is not None:
         refuse_given({"--duration": duration, "--rate": rate}, "a given motion has its own duration and rate",
                      "leave it out, or --motion")
     else:
-        refuse_given({"--map": map_file}, "there is no log whose columns it could map",
+        refuse_given({"--map": run.map_file}, "there is no log whose columns it could map",
                      "leave it out, or give --motion")
 
     def prepare(described: Machine) -> tuple[Study, Summary]:
@@ -188,38 +77,62 @@ def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_fil
         path: Trajectory | None = None
         sha256 = ""
         if motion is not None:
-            log = read_log(motion, mapping=map_file)
+            log = read_log(motion, mapping=run.map_file)
             path, sha256 = reference_motion(described, log), log.sha256
-        return study.montecarlo(described, cells=cells, seed=seed, method=method_of(method), motion=path,
+        return study.montecarlo(described, cells=cells, seed=run.seed, method=method_of(method), motion=path,
                                 motion_sha256=sha256, vary=grid, rate=rate,
                                 duration=study.DURATION if duration is None else duration), study.summary
 
-    return prepare
+    _run(run, prepare, processes, scheduler)
 
 
-def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], tuple[Study, Summary]], output: Path,
-         processes: int | None, scheduler: str | None, *, quiet: bool, as_json: bool) -> None:
+@app.command(cls=Command)
+@command(*ANSWER, "map_file", "parameter_set", "seed", "treat")
+def bootstrap(
+    run: Run,
+    logs: TrainingLogs,
+    cells: Cells = 100,
+    method: MethodName = "sdp",
+    processes: Processes = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.cli.identify import method_of
+        from hydroopt.study import bootstrap as study
+
+        read = run.read(logs)
+        return study.bootstrap(described, read, cells=cells, seed=run.seed, method=method_of(method)), study.summary
+
+    _run(run, prepare, processes, scheduler)
+
+
+Summary = Callable[["Study", "Table"], dict[str, Any]]
+"""What a kind of study makes of its table."""
+
+
+def _run(run: Run, prepare: Callable[[Machine], tuple[Study, Summary]], processes: int | None,
+         scheduler: str | None) -> None:
     """Prepare a study, run the cells that are missing, and write the report."""
-    from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import study as report
-    from hydroopt.study.run import run
+    from hydroopt.study.run import run as run_cells
 
     if scheduler is not None:
         refuse_given({"--processes": processes}, "the scheduler has its own workers", "leave it out, or --scheduler")
-    described = load_machine(machine, parameter_set=parameter_set)
-    with progress(f"preparing {described.name}", quiet) as say:
-        prepared, summary = prepare(described)
+    output = run.output
+    with run.progress(f"preparing {run.machine.name}") as say:
+        prepared, summary = prepare(run.machine)
         try:
-            table = run(prepared, output, scheduler=scheduler, workers=processes or os.cpu_count() or 1, say=say)
+            table = run_cells(prepared, output, scheduler=scheduler, workers=processes or os.cpu_count() or 1, say=say)
         except KeyboardInterrupt:
             done = len(list((output / "cells").glob("*.json")))
             raise StoppedError(f"interrupted after {done} of {len(prepared.cells)} cells, which are kept",
                                where=str(output), remedy="run the same command again to resume") from None
         say("writing the report")
         content = report.save(prepared, table, summary(prepared, table), output)
-    if as_json:
+    if run.as_json:
         echo(json.dumps(content, indent=1))
-    elif not quiet:
+    elif not run.quiet:
         _print(content, output)
 
 
@@ -240,7 +153,7 @@ def _grid(stated: Sequence[str]) -> dict[str, list[float]]:
             raise ProblemError(f"'{text}' is not NAME=VALUE,VALUE,... with numbers and a name of its own",
                                where="--vary", remedy="write e.g. --vary accuracy=0.5,1,2")
         for number in numbers:
-            limits.refuse(name, number, f"--vary {name}")
+            refuse(name, number, f"--vary {name}")
         grid[name] = numbers
     return grid
 
@@ -262,9 +175,6 @@ def _print(content: dict[str, Any], output: Path) -> None:
         if ratios:
             echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
                        f"{ratios[0]:.3g} to {ratios[-1]:.3g}")
-    for optimum in content.get("optima", ())[:5]:
-        echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
-                   f"{optimum['farthest_std']:.3g} σ from the best")
     echo(f"{output / 'report.html'}")
 
 

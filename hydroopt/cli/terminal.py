@@ -1,13 +1,17 @@
-"""What commands print, without characters that would drive the terminal."""
+"""What was typed, and what commands print: without characters that would drive the terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import typer
 
 from hydroopt.errors import visible
+
+WORDS: ContextVar[tuple[str, ...]] = ContextVar("words", default=())
+"""Name and arguments of the command that runs, as typed; empty where none runs."""
 
 
 def echo(text: str, *, err: bool = False) -> None:

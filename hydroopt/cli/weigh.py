@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.answers import continued, print_answer
-from hydroopt.cli.options import (
-    AsJson,
-    Directory,
-    GainError,
-    MachineName,
-    MapFile,
-    ParameterSetName,
-    Quiet,
-    SinglePrecision,
-    Sizes,
-    Treat,
-    logs_read,
-    progress,
-    session_of,
-)
+from hydroopt.cli.options import GainError, SinglePrecision, Sizes
+from hydroopt.cli.run import ANSWER, LOGS, Run, command
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from hydroopt.model.model import Model
-    from hydroopt.weighing.weighing import Weighing
 
 
+@command(*ANSWER, *LOGS)
 def weigh(
-    machine: MachineName,
+    run: Run,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=(
         "Logs of joint angles and pressures, each of which begins with the empty machine in motion."))],
-    output: Directory,
     calibration: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
         "Directory that identify wrote from logs without load; or such a log, repeatable."))],
     full_scale: Annotated[str, typer.Option(help="Largest load, e.g. '2500 kg'.")],
@@ -66,26 +48,19 @@ def weigh(
         "Also write the scale as C to DIR/c, for a controller that samples as the log does."))] = False,
     float32: SinglePrecision = False,
     sizes: Sizes = False,
-    map_file: MapFile = None,
-    treat: Treat = None,
-    parameter_set: ParameterSetName = None,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
 ) -> None:
     """Weigh loads while the machine moves: DIR gets weighing.json, report.html and the masses over time.
 
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
-    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.codegen.folder import scale_code
     from hydroopt.model.model import Model
-    from hydroopt.report.weighing import render
     from hydroopt.units import to_si
     from hydroopt.weighing import weighing
     from hydroopt.weighing.calibrated_scale import scale
     from hydroopt.weighing.scale import CarriedLoad, Uncertain
 
-    began = time.perf_counter()
-    described = load_machine(machine, parameter_set=parameter_set)
+    described = run.machine
     model = Model(described)
 
     def size(text: str, unit: str, option: str) -> float:
@@ -99,37 +74,24 @@ def weigh(
                           size(zero_drift, "Pa", "--zero-drift"), gain_error)
     tilt = [size(text, "rad", option) if text else stated for text, option, stated in (
         (roll, "--roll", described.orientation[0]), (pitch, "--pitch", described.orientation[1]))]
-    with progress(f"weighing with {described.name}", quiet) as say:
+    with run.progress(f"weighing with {described.name}") as say:
         steps = 3 + len(known or ())
         say("identifying the machine without load", 0.0)
-        made = scale(model, session_of(described, calibration, "--calibration", map_file, treat), load,
-                     uncertain=uncertain)
+        made = scale(model, run.session(calibration, "--calibration"), load, uncertain=uncertain)
         for k, text in enumerate(known or ()):
             mass, file = _known(text)
             say(f"learning from the known load of {mass}", (1 + k) / steps)
-            made = weighing.learned(made, logs_read([file], described, map_file, treat)[0], size(mass, "kg", "--known"),
+            made = weighing.learned(made, run.read([file])[0], size(mass, "kg", "--known"),
                                     size(known_sigma, "kg", "--known-sigma"))
         made = made.on_slope(*tilt)
         say(f"weighing along {', '.join(each.name for each in logs)}", (steps - 2) / steps)
-        found = weighing.weigh(made, logs_read(logs, described, map_file, treat), tare=size(tare, "s", "--tare"),
+        found = weighing.weigh(made, run.read(logs), tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
-        found = continued(found, output)
-        say("writing the report", (steps - 1) / steps)
-        pages: dict[str, str | bytes | None] = {"report.html": render(found)}
-        if code:
-            made_of = _c_of(found, single=float32, measured=sizes, directory=output / "c")
-            pages |= {f"c/{name}": text for name, text in made_of.items()}
-        found.save(output, pages=pages, wall_s=time.perf_counter() - began)
-    print_answer(found, output, quiet=quiet, as_json=as_json)
-
-
-def _c_of(found: Weighing, *, single: bool, measured: bool, directory: Path) -> Mapping[str, str | bytes | None]:
-    """The scale that weighed as C."""
-    from hydroopt.codegen.scale_code import scale_code
-
-    made = scale_code(found.scale, found.logs[0].equations.smoothed.kernel.step, needed=found.needed, single=single,
-                      measured=measured)
-    return made.files_for(directory)
+        written = {} if not code else scale_code(
+            found.scale, found.logs[0].equations.smoothed.kernel.step, needed=found.needed, single=float32,
+            measured=sizes).files_for(run.output / "c")
+        found = run.saved(found, say, {f"c/{name}": text for name, text in written.items()})
+    run.show(found)
 
 
 def _place(model: Model, link: str, text: str | None) -> tuple[float, float, float]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import NamedTuple
 
 from hydroopt.errors import ProblemError
-from hydroopt.input_file import is_directory
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, load_machine
 from hydroopt.results import json_file
@@ -30,7 +30,7 @@ def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Ori
         ProblemError: the folder holds no estimate, one that failed, or no calibrated machine.
     """
     folder = Path(source)
-    if source in bundled() or not is_directory(folder):
+    if source in bundled() or not os.path.isdir(folder):
         machine = load_machine(source, parameter_set=parameter_set)
         return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
     if parameter_set is not None:

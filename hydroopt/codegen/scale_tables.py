@@ -16,7 +16,7 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.weighing import course, equations, recursion, smoothed_log
 from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.scale import STEEPEST, Scale
-from hydroopt.weighing.smoothing_kernel import SmoothingKernel
+from hydroopt.weighing.smoothed_log import SmoothingKernel
 
 ROUTINES = ("actuator_forces", "tilted_regressor", "force_by_motion")
 """What the scale calls."""

@@ -10,12 +10,11 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.linearisation import signals
+from hydroopt.control.linear_plant import Point, Reading, readings, signals
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
-from hydroopt.kernels.one_sample import OneSample
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:

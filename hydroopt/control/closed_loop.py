@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hydroopt.control.linear_plant import Reading
 from hydroopt.control.reference import Demands, offset
-from hydroopt.control.sampled_plant import Reading
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
-from hydroopt.kernels.one_sample import OneSample
-from hydroopt.logs.sensors import quantised
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -69,29 +67,27 @@ class Sensors:
     """Readings of angles, chamber pressures and supply pressure, with the errors, lags and rates that the machine file
     states."""
 
-    def __init__(self, plant: Plant, offsets: Array, bias: Array | None, period: float, seed: int | None) -> None:
+    def __init__(self, plant: Plant, offsets: Array, bias: Array | None, period: float, seed: int | None,
+                 samples: int) -> None:
         machine = plant.machine
-        names = [f"{joint}.q" for joint in machine.joints]
-        for each in plant.actuators:
-            names += each.chambers
-        self.channels = [*names, "pump.p_supply"]
-        sensors = [machine.sensor(name) for name in self.channels]
-        # a sensor slower than the controller holds its last reading in between
-        self.every = np.array([max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
-                               for sensor in sensors])
-        self.always = bool(np.all(self.every == 1))
+        self.channels = [*(f"{joint}.q" for joint in machine.joints),
+                         *(name for each in plant.actuators for name in each.chambers), "pump.p_supply"]
         self.areas = np.array([each.areas for each in plant.actuators])
         self.added = np.zeros(len(self.channels))
         # the offset of the measured force is added to the pressure of chamber a
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
         if bias is not None:
             self.added[:len(machine.joints)] = bias
-        self.rng = None if seed is None else np.random.default_rng(seed)
-        stated = {} if seed is None else {k: sensor for k, sensor in enumerate(sensors) if sensor is not None}
-        # places of those that err in each way, or have steps, with by how much
-        self.uniform, self.gaussian = (_entries({k: sensor.accuracy for k, sensor in stated.items()
-                                                 if sensor.distribution == kind}) for kind in ("uniform", "gaussian"))
-        self.steps = _entries({k: sensor.resolution for k, sensor in stated.items() if sensor.resolution})
+        self.noise, self.step = np.zeros((samples, len(self.channels))), np.zeros(len(self.channels))
+        self.every = np.ones(len(self.channels), dtype=int)
+        rng = np.random.default_rng(seed)
+        for k, sensor in enumerate(map(machine.sensor, self.channels)):
+            if sensor is not None and sensor.rate:  # one slower than the controller holds its last reading in between
+                self.every[k] = max(1, round(1 / (sensor.rate * period)))
+            if sensor is not None and seed is not None:
+                self.noise[:, k] = sensor.model_copy(update={"resolution": 0.0}).read(self.noise[:, k], rng)
+                self.step[k] = sensor.resolution
+        self.stepped, self.always = np.flatnonzero(self.step), bool(np.all(self.every == 1))
         self.held = np.zeros(len(self.channels))
         lags = np.array([machine.lag(name).value for name in self.channels])
         self.follows = -np.expm1(-period / np.maximum(lags, 1e-12)) if np.any(lags > 0) else None
@@ -103,19 +99,11 @@ class Sensors:
         if self.follows is not None:
             before = true if self.behind is None else self.behind
             true = self.behind = before + self.follows * (true - before)
-        read = true.copy()
-        if self.rng is not None:
-            (places, accuracy), (others, std), (stepped, size) = self.uniform, self.gaussian, self.steps
-            read[places] += accuracy * (2 * self.rng.random(len(places)) - 1)
-            if len(others):
-                read[others] += std * self.rng.standard_normal(len(others))
-            read[stepped] = quantised(read[stepped], size)
+        read = true + self.noise[k]
+        step = self.step[self.stepped]
+        read[self.stepped] = np.round(read[self.stepped] / step) * step
         self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
-
-
-def _entries(values: dict[int, float]) -> tuple[NDArray[np.intp], Array]:
-    return np.array(list(values), dtype=np.intp), np.array(list(values.values()))
 
 
 def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array, theta: Array, *,
@@ -140,7 +128,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
     machine, n, period, supply = plant.machine, len(plant.machine.joints), float(t[1] - t[0]), plant.supply
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
-    sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed)
+    sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed, len(t))
     delay = CommandDelay(plant.delays, period, steady.u)
     integrator, motion = plant.integrator(psi, theta), OneSample(demands.plant.actuator_motion)
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T

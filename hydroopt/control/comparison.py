@@ -1,49 +1,127 @@
-"""Comparison of controllers on one motion: all candidates on the same machine, with the same sensor errors."""
+"""Comparison of controllers on one motion: all candidates on the same machine, with the same sensor errors.
+
+With what each achieves, how robust its loops are, and what uncertain valves and oil may take from that.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.closed_loop import simulate, tip
-from hydroopt.control.diagnostics import control_diagnostics, margin_diagnostics
+from hydroopt.control.closed_loop import Run, simulate, tip
 from hydroopt.control.draws import Draw, spread
-from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
-from hydroopt.control.loop_margins import Margin, margins, with_resonances
-from hydroopt.control.loops import Loops
+from hydroopt.control.linear_plant import Point, linearised, point, sampled
+from hydroopt.control.loops import Loops, Margin, disk_margins, frequencies, margins
 from hydroopt.control.lqg import Lqg, design, reading_noise
-from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
-from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
-from hydroopt.control.reference import Demands
-from hydroopt.control.sampled_plant import Point
-from hydroopt.control.setting import Setting
+from hydroopt.control.reference import Demands, refuse_flow, refuse_opening
+from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
-from hydroopt.control.valve_sensitivity import LostMargin, lost_margins
+from hydroopt.errors import ProblemError
 from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
+from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "simulation of closed loops"
+PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
+SMALL_MARGINS, UNSTABLE = "small margins", "loop unstable in a posture"
+"""Kinds of diagnostics by which a controller's use is decided."""
+SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 30.0, 0.5
+"""Gain, phase and disk margins below which a loop is reported. A sensitivity of 2 leaves so much: gains are tuned to
+more, on the machine as it is known, so that the true one may differ. Within a disk margin of 0.5 the gain may change by
+a factor of 1.67, or the phase by 28 degrees, or both at once by less."""
+LITTLE_DAMPING = 0.02
+"""Damping ratio below which an oscillation of a closed loop is reported."""
+SIGMAS = 2.0
+"""Standard deviations of valves and oil within which margins should last."""
+SATURATED = 0.01
+"""Part of the time for which a valve may be fully open."""
 ROBUST = 1.3
 """A sensitivity that keeps a gain margin of 12.7 dB, offered where those of the usual one turn out small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one controller achieved on the motion.
+
+    Attributes:
+        name: such as ``feedforward complete``.
+        kind: `PI`, `FEEDFORWARD` or `LQG`.
+        variant: the model and parameters that it uses.
+        run: what the machine did.
+        error: of the joints (N, n) [rad or m].
+        tip: distance (N,) [m] of the last link's far end from where it should be.
+        margins: of all loops at all points.
+        loops: at the point with the smallest Nyquist distance.
+    """
+
+    name: str
+    kind: str
+    variant: ModelVariant
+    run: Run
+    error: Array
+    tip: Array
+    margins: tuple[Margin, ...]
+    loops: Loops
+
+    @property
+    def in_cascade(self) -> bool:
+        """Whether its loops are those of the cascade, which are the same whatever is fed forward."""
+        return self.kind != LQG
+
+    @property
+    def uses_model(self) -> bool:
+        """Whether it knows which forces the motion takes; without them it lags behind."""
+        return self.kind != PI
+
+    @property
+    def tip_rms(self) -> float:
+        """Root mean square [m] of the distance of the tip; infinite if the machine hit its stops."""
+        return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf
+
+    def worst(self, loop: str, key: str, points: Sequence[str] = ()) -> Margin:
+        """The smallest margin of a loop by `key`, such as ``gain``, ``disk`` or ``damping``, at some points or all."""
+        candidates = [margin for margin in self.margins
+                      if margin.loop == loop and (not points or margin.point in points)]
+        return min(candidates, key=lambda margin: float(getattr(margin, key)))
+
+
+class LostMargin(NamedTuple):
+    """What a number of valves or oil takes from the disk margin of a loop where it is off by one standard deviation.
+
+    Attributes:
+        loop: the actuator at whose command it is cut.
+        parameter: the number.
+        std: its standard deviation by the machine file.
+        unit: of the standard deviation.
+        disk: the loop's disk margin, see `Margin`.
+        lost: by the worse of both signs; 0 if neither takes any.
+    """
+
+    loop: str
+    parameter: str
+    std: float
+    unit: str
+    disk: float
+    lost: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,15 +183,57 @@ class Comparison(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Small margins, little damping, ended runs and saturated valves."""
-        stopped = (Diagnostic(Kind.BEST_RUN_STOPPED, (self.winner.name,)),) if self.winner.run.stopped else ()
-        return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward),
+        stopped = [] if not self.winner.run.stopped else [Diagnostic.of(
+            "even the best run ended early", (self.winner.name,), {},
+            "Even the best controller, {subject}, ends before the motion does.",
+            "Drive a slower motion, or correct the machine's valves and pump.", Meaning.CONTRADICTION)]
+        return (*stopped, *machine_diagnostics(self.setting.plant.model), *self._margins(), *self._runs(),
                 *margin_diagnostics(self.winner, self.lost_margins))
+
+    def _margins(self) -> Iterator[Diagnostic]:
+        """Loops with small margins, or that are unstable in a posture."""
+        for outcome in self.outcomes:
+            for each in self.setting.plant.actuators:
+                gain, phase, disk, growing = (
+                    outcome.worst(each.actuator.name, key) for key in ("gain", "phase", "disk", "damping"))
+                if outcome.kind == FEEDFORWARD and outcome is not self.feedforward:
+                    continue  # all feedforwards have the same loops
+                if growing.damping < 0:
+                    yield Diagnostic.of(UNSTABLE, (outcome.name,), {
+                        "point": growing.point, "hertz": growing.damping_at / (2 * np.pi),
+                        "growth": float(np.expm1(growing.growth))},
+                        "With {subject} errors at {hertz:.2g} Hz grow by {growth:.0%} a second in the posture of "
+                        "{point}, which the motion passes too fast to be disturbed, or does not reach.",
+                        "Do not stay there with this controller; a load that hangs almost undamped needs a brake.")
+                    break
+                decibels, degrees = 20 * np.log10(gain.gain), np.degrees(phase.phase)
+                if decibels < SMALL_DB or degrees < SMALL_DEG or disk.disk < SMALL_DISK:
+                    yield Diagnostic.of(SMALL_MARGINS, (outcome.name,), {
+                        "loop": each.actuator.name, "gain_db": float(decibels), "gain_point": gain.point,
+                        "phase_deg": float(degrees), "phase_point": phase.point, "disk": disk.disk,
+                        "disk_point": disk.point},
+                        "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}), "
+                        "{phase_deg:.0f} degrees ({phase_point}), and a disk margin of {disk:.2f} ({disk_point}).")
+
+    def _runs(self) -> Iterator[Diagnostic]:
+        """Runs that ended early, and valves that saturate."""
+        low, high = self.setting.demands.valves.limits
+        for outcome in self.outcomes:
+            if outcome.run.stopped:
+                yield Diagnostic.of("run ended early", (outcome.name,), {"reason": outcome.run.stopped}, (
+                    "With {subject} {reason}."))
+            part = np.mean((outcome.run.u <= low) | (outcome.run.u >= high), axis=0)
+            for k, each in enumerate(self.setting.plant.actuators):
+                if part[k] > SATURATED:
+                    yield Diagnostic.of("valve saturated", (outcome.name,), {
+                        "valve": each.actuator.name, "part": float(part[k])},
+                        "With {subject} the valve of {valve} is fully open {part:.0f %} of the time.")
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """Whether the best controller follows the motion with sound margins."""
         best = self.winner
-        weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_IN_POSTURE)
+        weak = [each for each in of_kind(self.diagnostics, SMALL_MARGINS, UNSTABLE)
                 if best.name in each.subject]
         condition = f"RMS of the tip on this motion, simulated; truth: {self.setting.true.text}"
         reason = best.run.stopped or (weak[0].text.rstrip(".") if weak else "")
@@ -130,7 +250,7 @@ class Comparison(Answer):
                 Action.USE, "Build and test the feedforward in C, and begin at a tenth of the speed:",
                 f"make -C {self.command_line.path('c')} check"),)
         machine = self.setting.plant.machine.source
-        small = any(best.name in each.subject for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS))
+        small = any(best.name in each.subject for each in of_kind(self.diagnostics, SMALL_MARGINS))
         steps = []
         if small and any(each.lost > 0 for each in self.lost_margins):
             steps.append(NextStep(Action.DRIVE, "Identify valves and oil, since margins depend on them:",
@@ -333,7 +453,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, loops))
     shown = [loops for _, loops in analysed.values()]
-    omega = with_resonances(shown[0].omega, [each for loops in shown for each in (loops.plant, loops.closed)])
+    omega = frequencies([each for loops in shown for each in (loops.plant, loops.closed)])
     fine = {kind: loops.at(omega) for kind, (_, loops) in analysed.items()}
     outcomes = [replace(outcome, loops=fine[type(controller)])
                 for outcome, (*_, controller) in zip(outcomes, candidates, strict=True)]
@@ -346,9 +466,90 @@ def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: 
     joints = tuple(machine.joints.index(joint) for joint in demands.plant.drivers)
     found: list[Margin] = []
     analysed = []
-    for plant, point in zip(plants, points, strict=True):
-        feedback = controller.linear(point)
-        here, omega, L = margins(plant, feedback, names, point.name)
+    for plant, at in zip(plants, points, strict=True):
+        feedback = controller.linear(at)
+        here, omega, L = margins(plant, feedback, names, at.name)
         found += here
-        analysed.append((min(m.distance for m in here), Loops(point.name, omega, L, plant, feedback, joints)))
+        analysed.append((min(m.distance for m in here), Loops(at.name, omega, L, plant, feedback, joints)))
     return tuple(found), min(analysed, key=lambda one: one[0])[1]
+
+
+def refuse_unstable(name: str, margins: Sequence[Margin], duration: float) -> None:
+    """Refuse a controller whose errors grow to more than e times within the motion's duration [s], if its loops were
+    all the time as at one of its points.
+
+    Slower growth passes: a point lasts for a part of the motion only, and a load that hangs almost undamped may swing a
+    little more in a posture, whatever the controller. `UNSTABLE_IN_POSTURE` reports it.
+
+    Raises:
+        ProblemError: errors grow faster; the sentence states loop, posture and gain margin.
+    """
+    unstable = [margin for margin in margins if margin.growth * duration > 1]
+    if unstable:
+        worst = min(unstable, key=lambda margin: margin.distance)
+        raise ProblemError(
+            f"the loop of '{worst.loop}' is unstable with {name} in the posture of the {worst.point}, where its gain "
+            f"margin is {20 * np.log10(worst.gain):.1f} dB", where="closed loop",
+            remedy="lower --gain or --sensitivity, raise --rate, or leave this controller out with --controller")
+
+
+def margin_diagnostics(best: Outcome, lost: Sequence[LostMargin]) -> Iterator[Diagnostic]:
+    """Oscillations of the best controller's loops that hardly decay, and margins that uncertain valves may take."""
+    least = min(best.margins, key=lambda margin: margin.damping)
+    if 0 <= least.damping < LITTLE_DAMPING:
+        yield Diagnostic.of("little damping", (best.name,), {
+            "damping": least.damping, "hertz": least.damping_at / (2 * np.pi), "point": least.point,
+            "undisturbed": least.undisturbed},
+            "With {subject} an oscillation at {hertz:.1f} Hz is damped by a ratio of only {damping:.3f} ({point}); "
+            "without feedback the least is {undisturbed:.3f}.",
+            "Leaks, friction and measured pressures damp oil: see the table of loops.", Meaning.PROPERTY)
+    for loop in dict.fromkeys(each.loop for each in lost):
+        own = [each for each in lost if each.loop == loop]
+        low = own[0].disk - SIGMAS * float(np.linalg.norm([each.lost for each in own]))
+        if low < SMALL_DISK <= own[0].disk:
+            yield Diagnostic.of("margins depend on uncertain valves", (best.name,), {
+                "loop": loop, "disk": own[0].disk, "low": max(low, 0.0), "point": best.loops.point,
+                "parameter": max(own, key=lambda each: each.lost).parameter},
+                "Numbers of valves and oil are so uncertain that the disk margin of {loop} with {subject} may be "
+                "{low:.2f} instead of {disk:.2f} ({point}), most of all by {parameter}.",
+                "Identify them: `hydroopt plan-valve-test`.", Meaning.PROPERTY)
+
+
+def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array) -> tuple[LostMargin, ...]:
+    """Of every loop at a point, by every number that the machine file states a confidence of.
+
+    The controller stays as it is, the machine changes. Numbers with which it could not move at the point are left out.
+
+    Args:
+        plant: the machine as it is known.
+        at: the operating point.
+        loops: at this point.
+        psi: dynamic parameters (p,) that are known.
+        theta: hydraulic ones.
+    """
+    known = plant.parameters
+    names = [each.actuator.name for each in plant.actuators]
+    found: list[LostMargin] = []
+    try:
+        disks = _disks(plant, at, loops, psi, theta)
+    except ProblemError:  # the machine can move here, but not as it is known
+        return ()
+    for k in np.flatnonzero(np.diag(known.information) > 0):
+        std, least = float(known.scale[k]), disks
+        for side in (-std, std):
+            moved = theta.copy()
+            moved[k] = np.clip(theta[k] + side, known.lower[k], known.upper[k])
+            try:
+                least = np.minimum(least, _disks(plant, at, loops, psi, moved))
+            except ProblemError:
+                continue
+        found += [LostMargin(name, known.names[k], std, known.units[k], float(disk), float(disk - low))
+                  for name, disk, low in zip(names, disks, least, strict=True)]
+    return tuple(found)
+
+
+def _disks(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array) -> Array:
+    """Disk margins (a,) of the loops of a machine with other numbers."""
+    moved = point(plant, at.name, at.q, at.qd, psi, theta)
+    held = sampled(linearised(plant, moved, psi, theta), plant.delays, loops.plant.dt)
+    return disk_margins(held, loops.feedback)

@@ -10,8 +10,7 @@ import numpy as np
 
 from hydroopt.control.cascade import Cascade
 from hydroopt.control.closed_loop import simulate, tip
-from hydroopt.control.model_variants import TRUE, ModelVariant
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_test import driven_test, valve_test
 from hydroopt.estimation.dynamic.identify import identify

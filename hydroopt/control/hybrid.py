@@ -9,9 +9,9 @@ import numpy as np
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.model_variants import ModelVariant
+from hydroopt.control.linear_plant import Reading
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled_plant import Reading
+from hydroopt.control.setting import ModelVariant
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.simulation.simulate import Trajectory

@@ -1,19 +1,180 @@
-"""All loops of a controller at one operating point: frequency responses, poles, zeros and step responses."""
+"""Loops of a sampled controller: frequency responses, margins, damping ratios, poles, zeros and step responses."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import control
 import numpy as np
 from control import StateSpace
+from scipy.linalg import schur
 
-from hydroopt.control.loop_margins import responses
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
+FREQUENCIES = 150
+"""Number of frequencies up to half the sampling rate at which loops are analysed, beside those about resonances."""
+SLOWEST = 2e-4
+"""The lowest of these frequencies, as a part of the sampling rate."""
+LITTLE_DAMPING, WIDTHS = 0.1, np.tan(np.radians(np.arange(-85.0, 86.0, 10.0)))
+"""Damping ratio below which a pole is a resonance, and frequencies about it in damping ratios from its own: equal steps
+along the circle of its Nyquist curve."""
+STANDING = 1e-4
+"""Distance from 1 within which a pole is that of a position, which stands still where nothing moves it."""
 INFINITE = 1e8
 """Size from which on a zero counts as one at infinity."""
+
+
+class Margin(NamedTuple):
+    """How far a loop is from instability.
+
+    Attributes:
+        point: name of the operating point.
+        loop: the actuator at whose command the loop is cut, all others closed.
+        gain: gain margin as a factor; infinite if there is none to reach, less than one where the loop is unstable.
+        gain_at: its frequency [rad/s], where the phase crosses −180 degrees.
+        phase: phase margin [rad]; infinite if the gain never reaches one.
+        phase_at: its frequency [rad/s], where the gain crosses one.
+        distance: smallest distance of the Nyquist curve from −1.
+        damping: smallest damping ratio of the closed loop's poles; negative where it is unstable.
+        damping_at: frequency of that pole [rad/s].
+        undisturbed: smallest damping ratio of the plant's own poles, without any feedback.
+        disk: disk margin α (Seiler, Packard and Gahinet 2020, balanced): gain may change by any factor between
+            (2 − α)/(2 + α) and its inverse, and the phase at the same time within the same disk.
+    """
+
+    point: str
+    loop: str
+    gain: float
+    gain_at: float
+    phase: float
+    phase_at: float
+    distance: float
+    damping: float
+    damping_at: float
+    undisturbed: float
+    disk: float
+
+    @property
+    def growth(self) -> float:
+        """Rate at which errors of an unstable loop grow [1/s]; zero where it is stable."""
+        return max(-self.damping * self.damping_at, 0.0)
+
+    def as_dict(self) -> dict[str, str | float | None]:
+        """The entry of a table, in dB, degrees and Hz; None where a number does not exist."""
+        return {"loop": self.loop, "point": self.point, "gain_margin_db": number(20 * np.log10(self.gain)),
+                "gain_crossing_hz": number(self.gain_at / (2 * np.pi)),
+                "phase_margin_deg": number(np.degrees(self.phase)),
+                "phase_crossing_hz": number(self.phase_at / (2 * np.pi)), "sensitivity": number(1 / self.distance),
+                "damping": self.damping, "damping_hz": number(self.damping_at / (2 * np.pi)),
+                "damping_without_feedback": self.undisturbed, "disk_margin": number(self.disk)}
+
+
+def frequencies(systems: Sequence[StateSpace]) -> Array:
+    """Frequencies [rad/s] at which loops of sampled systems are analysed, up to half the sampling rate: in equal ratios
+    and about the systems' resonances.
+
+    The Nyquist curve runs through a circle within the width of a resonance, which equal ratios miss.
+    """
+    period = systems[0].dt
+    found = [np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period]
+    for system in systems:
+        size, damping, poles = _modes(system)
+        damping = np.abs(damping)
+        light = (damping < LITTLE_DAMPING) & (poles.imag > 0)
+        found.append((size[light, None] * (1 + damping[light, None] * WIDTHS)).ravel())
+    every = np.unique(np.concatenate(found))
+    return np.asarray(every[(every >= found[0][0]) & (every <= found[0][-1])])
+
+
+def response(system: StateSpace, z: Array) -> Array:
+    """Transfer matrices C·(z − A)⁻¹·B + D (ω, p, m) at points (ω,) of the z plane, or of the s plane.
+
+    The complex Schur form of A is triangular, so that all points share one decomposition (Laub 1981, with a triangle in
+    place of Hessenberg's form): a sixth of the time of `StateSpace.__call__`, which solves anew at every point.
+    """
+    T, U = schur(system.A, output="complex") if system.nstates else (system.A, system.A)
+    B, C = U.conj().T @ system.B, system.C @ U
+    X = np.zeros((len(T), len(z), B.shape[1]), dtype=complex)
+    for i in reversed(range(len(T))):
+        X[i] = (B[i] + np.tensordot(T[i, i + 1:], X[i + 1:], 1)) / (z - T[i, i])[:, None]
+    return np.asarray(np.moveaxis(np.tensordot(C, X, 1), 0, 1) + system.D)
+
+
+def responses(plant: StateSpace, feedback: StateSpace, omega: Array) -> Array:
+    """L(jω) (n, ω) of each loop, cut at its command while all others are closed; negative feedback.
+
+    The sensitivity of a loop to its own command, 1/(1 + L), is its entry on the diagonal of that of all loops.
+    """
+    z = np.exp(1j * omega * plant.dt)
+    sensitivity = np.linalg.inv(np.eye(plant.ninputs) - response(feedback, z) @ response(plant, z))
+    return np.asarray(1 / np.diagonal(sensitivity, axis1=1, axis2=2).T - 1)
+
+
+def margins(plant: StateSpace, feedback: StateSpace, names: Sequence[str],
+            where: str) -> tuple[list[Margin], Array, Array]:
+    """Margins of all loops, with the `frequencies` [rad/s] and L(jω) (n, ω) that they were read from."""
+    closed = control.feedback(plant, feedback, sign=1)
+    omega = frequencies([plant, closed])
+    L = responses(plant, feedback, omega)
+    damping = (*_least_damping(closed), _least_damping(plant, STANDING)[0])
+    return [_margin(where, name, omega, curve, float(disk), damping)
+            for name, curve, disk in zip(names, L, _disks(L), strict=True)], omega, L
+
+
+def disk_margins(plant: StateSpace, feedback: StateSpace) -> Array:
+    """The disk margins (n,) of `margins` alone; zero where the closed loop is not stable."""
+    closed = control.feedback(plant, feedback, sign=1)
+    return _disks(responses(plant, feedback, frequencies([plant, closed]))) * (_least_damping(closed)[0] > 0)
+
+
+def _disks(L: Array) -> Array:
+    """Disk margins (n,) of loops L(jω) (n, ω)."""
+    return np.asarray(np.min(2 * np.abs(1 + L) / np.maximum(np.abs(1 - L), 1e-300), axis=1))
+
+
+def _modes(system: StateSpace) -> tuple[Array, Array, Array]:
+    """Natural frequencies [rad/s], damping ratios and poles of a sampled system, without those of delays."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size, damping, poles = system.damp()
+    some = np.isfinite(size)
+    # a pole at 1 exactly neither grows nor decays
+    return size[some], np.nan_to_num(damping[some]), poles[some]
+
+
+def _least_damping(system: StateSpace, standing: float = 0.0) -> tuple[float, float]:
+    """Least damping ratio of the poles of a sampled system, and the frequency [rad/s] of that pole; poles within
+    `standing` of 1 do not count."""
+    size, damping, poles = _modes(system)
+    damping = np.where(np.abs(poles - 1) >= standing, damping, np.inf)
+    if not np.any(np.isfinite(damping)):
+        return 1.0, 0.0
+    least = int(np.argmin(damping))
+    return float(damping[least]), float(size[least])
+
+
+def _margin(where: str, name: str, omega: Array, L: Array, disk: float, damping: tuple[float, float, float]) -> Margin:
+    """The margins of a loop by its response L(jω) (ω,), with the disk margin that it has there."""
+    curve = control.FrequencyResponseData(L, omega, smooth=True)
+    gains, phases, distances, at_180, at_one, _ = control.stability_margins(curve, returnall=True)
+    # for an unstable loop the factor that would stabilise it
+    own = (gains > 1) == (damping[0] >= 0)
+    gain, gain_at = _nearest(gains[own], at_180[own], np.abs(np.log(gains[own])))
+    phases = np.abs(np.radians(phases))
+    phase, phase_at = _nearest(phases, at_one, phases)
+    least = float(np.min(distances, initial=np.min(np.abs(1 + L))))
+    return Margin(where, name, gain, gain_at, phase, phase_at, least, *damping, disk)
+
+
+def _nearest(margin: Array, at: Array, measure: Array) -> tuple[float, float]:
+    """The margin with the least measure, and its frequency; infinite where there is none."""
+    if not len(measure):
+        return np.inf, np.nan
+    k = int(np.argmin(measure))
+    return float(margin[k]), float(at[k])
 
 
 @dataclass(frozen=True, eq=False)

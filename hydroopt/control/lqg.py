@@ -11,9 +11,8 @@ from control import StateSpace
 from scipy.linalg import block_diag
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.linearisation import signals
+from hydroopt.control.linear_plant import Point, Reading, readings, signals
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled_plant import Point, Reading, readings
 from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine import Machine

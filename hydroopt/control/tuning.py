@@ -14,8 +14,8 @@ from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains, linear_feedback
-from hydroopt.control.loop_margins import STANDING, frequencies, response
-from hydroopt.control.sampled_plant import Point
+from hydroopt.control.linear_plant import Point
+from hydroopt.control.loops import STANDING, frequencies, response, responses
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.progress import Progress, silent
@@ -31,8 +31,6 @@ FORCE_GAINS = (0.0, *np.geomspace(0.01, 1.0, 9))
 """Force gains that are tried, as parts of the speed at full flow per largest force."""
 FILTER_TIMES = (0.0, 0.1, 0.2, 0.4, 0.8)
 """Time constants [s] of low passes that are tried: they suppress feedback at resonances that it cannot damp."""
-FREQUENCIES = 400
-"""Number of frequencies at which sensitivities are computed."""
 SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
@@ -51,8 +49,7 @@ class _Loops:
 
     def __init__(self, plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves) -> None:
         self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].dt
-        omega = frequencies(self.period, FREQUENCIES)
-        self.z = np.exp(1j * omega * self.period)
+        self.z = np.exp(1j * frequencies(plants) * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
         moved = np.array([response(plant, self.z) for plant in plants])
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
@@ -74,12 +71,19 @@ class _Loops:
         """Of all errors that grow without feedback, oscillating ones as well [1/s]."""
         return max(_growth(plant.poles(), self.period) for plant in self.plants)
 
-    def grows_slower(self, gains: Gains, growth: float) -> bool:
-        """Whether errors grow at no point faster than this [1/s] with all loops closed; zero asks that they die away.
-        """
-        return all(_growth(control.feedback(plant, linear_feedback(
-            self.axes, self.valves, gains, self.period, point), sign=1).poles(), self.period) <= growth
-                   for plant, point in zip(self.plants, self.points, strict=True))
+    def hold(self, gains: Gains, k: int, growth: float, largest: float, complementary: float) -> bool:
+        """Whether errors grow at no point faster than `growth` [1/s] with all loops closed, where zero asks that they
+        die away, and both sensitivities of an axis' loops stay below their limits at the resonances, too, that the
+        feedback makes."""
+        for plant, point in zip(self.plants, self.points, strict=True):
+            feedback = linear_feedback(self.axes, self.valves, gains, self.period, point)
+            closed = control.feedback(plant, feedback, sign=1)
+            if _growth(closed.poles(), self.period) > growth:
+                return False
+            L = responses(plant, feedback, frequencies([plant, closed]))[list(self.axes.actuators[k])]
+            if np.max(1 / np.abs(1 + L)) > largest or np.max(np.abs(L / (1 + L))) > complementary:
+                return False
+        return True
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
         """Responses from positions to speeds of the axes (ω, m), and from forces to speeds of the actuators (ω, a)."""
@@ -210,12 +214,13 @@ class _Tuner:
         """The same beside loops as they are, with sensitivities up to `slack` times their limits."""
         loops, gains, own = self.loops, self.gains, list(self.loops.axes.actuators[k])
         loop, entry = loops.cut(gains, k), ENTRY * loops.growth
+        limits = slack * self.largest, slack * COMPLEMENTARY_SENSITIVITY
 
         def robust(position: float, part: float, filter_time: float) -> bool:
             gains.position[k], gains.force[own] = position, part * self.speed_per_force[own]
             gains.filter_time[k] = filter_time
             gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
-            return loop.robust(*loops.of_axis(gains, k), slack * self.largest, slack * COMPLEMENTARY_SENSITIVITY)
+            return loop.robust(*loops.of_axis(gains, k), *limits)
 
         best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(self.speed_per_force[own]) else FORCE_GAINS[:1]
         for filter_time in FILTER_TIMES:
@@ -234,7 +239,7 @@ class _Tuner:
                     if (position, part, filter_time) <= best:
                         break
                     if math.isinf(growth) or (robust(position, part, filter_time)
-                                              and loops.grows_slower(gains, growth)):
+                                              and loops.hold(gains, k, growth, *limits)):
                         best = (position, part, filter_time)
                         break
         robust(*best)

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.kernels.integrator import Integrator
-from hydroopt.kernels.one_sample import OneSample
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.machine.valves import EDGES, Valve
 from hydroopt.model.hydraulics import ActuatorHydraulics, Flows, Value, conductance, orifice
 from hydroopt.model.plant import PRESSURE, Plant

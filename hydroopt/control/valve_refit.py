@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.control.closed_loop import CommandDelay
-from hydroopt.control.sampled_plant import Reading
-from hydroopt.kernels.one_sample import OneSample
+from hydroopt.control.linear_plant import Reading
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.model.hydraulics import ActuatorHydraulics, Value, spool_position
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array

@@ -32,6 +32,11 @@ SLOW, FLAT = 0.04, 1e-3
 it that is left where a pin does not turn with the joints."""
 FAINT_INFORMATION = 1e-5
 """Square root of the information added to every scaled parameter: negligible, but it keeps every criterion finite."""
+FAINT = 1e-6
+"""Information added to every parameter that poses are to determine, in units of its scale or of that of an average
+pose: keeps every determinant and variance finite."""
+PROMISING = 64
+"""Candidates whose eigenvalues are computed."""
 
 
 class DesignParameters(NamedTuple):
@@ -179,6 +184,49 @@ def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float,
     return float(2 * np.log(inner[0])), -2 * np.outer(across[:, 0], across[:, 0] @ root.T)
 
 
+def gains(rows: Array, covariance: Array, across: Array) -> Array:
+    """By how much (K,) the whitened rows (K, u, f) of each candidate lower the sum of the variances of a task.
+
+    Args:
+        rows: what each candidate says about f parameters.
+        covariance: (f, f) of these.
+        across: (f, s) their covariance with the s combinations of the task.
+    """
+    core = np.eye(rows.shape[1]) + rows @ covariance @ rows.transpose(0, 2, 1)
+    spread = rows @ across
+    return np.asarray(np.einsum("kus,kus->k", spread, np.linalg.solve(core, spread)))
+
+
+def scores(criterion: str, rows: Array, covariance: Array, focus: Array, pose: int = 0) -> Array:
+    """Minus a criterion (K,) after each candidate alone is measured, as the logarithm of a size; more is better.
+
+    Args:
+        criterion: one of `CRITERIA`, of the covariance of the combinations in focus.
+        rows: (K, u, f) whitened rows of each candidate.
+        covariance: (f, f) of the parameters before.
+        focus: (s, f) combinations.
+        pose: a candidate whose value is exact: for E and the condition number it is −∞ for those of the others that
+            improve the worst direction little.
+    """
+    across, before = covariance @ focus.T, focus @ covariance @ focus.T
+    if criterion == "A":
+        return np.asarray(-np.log(np.trace(before) - gains(rows, covariance, across)))
+    core = np.eye(rows.shape[1]) + rows @ covariance @ rows.transpose(0, 2, 1)
+    if criterion == "D" and len(focus) == len(covariance):  # by the determinant lemma
+        return np.asarray(np.linalg.slogdet(core)[1] - np.linalg.slogdet(before)[1])
+    spread = rows @ across
+    after = before - spread.transpose(0, 2, 1) @ np.linalg.solve(core, spread)
+    if criterion == "D":
+        return np.asarray(-np.linalg.slogdet(after)[1])
+    # eigenvalues take long: only of those that improve the worst direction most
+    worst = np.linalg.eigh(before)[1][:, -1]
+    promising = np.append(np.argsort((after @ worst) @ worst)[:PROMISING], pose)
+    values = np.maximum(np.linalg.eigvalsh(after[promising]), 1e-300)
+    score = np.full(len(rows), -np.inf)
+    score[promising] = -np.log(values[:, -1]) + (np.log(values[:, 0]) if criterion == "condition" else 0.0)
+    return score
+
+
 def _smooth_sign(rate: ca.SX, states: Sequence[ca.SX]) -> ca.SX:
     """The sign of a rate of the states q, qd, qdd, smoothed over what slow joints make of it.
 
@@ -198,7 +246,7 @@ class Information:
         self.model, self.parameters, self.criterion = model, parameters, criterion
         states, scale = model.coordinates, parameters.weight[:, None] * parameters.scale
         columns = parameters.columns.tolist()
-        K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
+        K = model.dynamics.regressor()[:, columns] * ca.DM(scale)
         exact = program(ca.Function("base_regressor", [*states], [K]))
         self.regressor, self.smooth = exact.function(), exact.function(_smooth_sign)
         K = self.smooth(*states)

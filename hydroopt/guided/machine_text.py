@@ -75,7 +75,7 @@ class _Writer:
                     f'name = "{slew}"')
         yield (f"joint = {{ type = \"revolute\", d = {self._length(f'{slew}.height')}, "
                f"a = {self._length(f'{slew}.offset')}, alpha = \"90 deg\", lower = \"-180 deg\", upper = \"180 deg\", "
-               f"{self._pace(30, 30)} }}")
+               f"{self._pace('30 deg/s', '30 deg/s^2')} }}")
         # a ring as high as its radius; a flat one is on the bound of what a body can have, and beyond it once rounded
         turning = mass * (0.25 * size) ** 2
         yield from self._body("links.body", mass, (-0.1 * size, 0.0, 0.1 * size), (
@@ -95,14 +95,16 @@ class _Writer:
             far = (f"d = {self._length(f'{member.name}.length')}, alpha = \"90 deg\"" if column else
                    f"a = {self._length(f'{member.name}.length')}")
         yield (f'joint = {{ type = "revolute", {far}, lower = "{low:.2f} deg", upper = "{high:.2f} deg", '
-               f"{self._pace(25, 40)} }}")
-        mass, along = self.sketch.number(f"{member.name}.mass"), 0.45 * length
-        thick = mass * (0.15 * length) ** 2 / 6
-        com = (0.0, 0.0, along - length) if column else (along, 0.05 * length, 0.0)
-        slender = mass * length**2 / 12
-        yield from self._body("links.body", mass, com, (slender, slender, thick) if column else (
-            thick, slender, slender), 0.05 if self.sketch.measured(f"{member.name}.mass") else 0.3, 0.1 * length,
-            measured=self.sketch.measured(f"{member.name}.mass"))
+               f"{self._pace('25 deg/s', '40 deg/s^2')} }}")
+        yield from self._slender(member.name, length, (0.0, 0.0, -0.55 * length) if column else (
+            0.45 * length, 0.05 * length, 0.0), upright=column)
+
+    def _slender(self, name: str, length: float, com: tuple[float, float, float], *, upright: bool) -> Iterator[str]:
+        """The body of a link or section, along z if `upright`, else along x."""
+        mass, stated = self.sketch.number(f"{name}.mass"), self.sketch.measured(f"{name}.mass")
+        slender, thick = mass * length**2 / 12, mass * (0.15 * length) ** 2 / 6
+        yield from self._body("links.body", mass, com, (slender, slender, thick) if upright else (
+            thick, slender, slender), 0.05 if stated else 0.3, 0.1 * length, measured=stated)
 
     def _sections(self, part: Telescope) -> Iterator[str]:
         """The sections of a telescope: z along the last link, x to what is y of it; each frame lies at its far end."""
@@ -114,17 +116,11 @@ class _Writer:
             first = name == part.name
             yield from ("", f"# {name}: slides out of the {last.name if first else part.name}; its frame lies where "
                         f"the {last.last} is with all retracted.", "[[links]]", f'name = "{name}"')
-            far, pace = self._length(f"{last.name}.length"), [
-                f'{what} = {{ value = "{most}", source = "assumed" }}'
-                for what, most in (("max_speed", "0.3 m/s"), ("max_acceleration", "0.6 m/s^2"))]
+            far = self._length(f"{last.name}.length")
             yield (f'joint = {{ type = "prismatic", d = {far}, lower = "{PLAY:.4f} m", '
-                   f'upper = "{travel - PLAY:.4f} m", {", ".join(pace)} }}' if first else
+                   f'upper = "{travel - PLAY:.4f} m", {self._pace("0.3 m/s", "0.6 m/s^2")} }}' if first else
                    'joint = { type = "prismatic", dependent = true }')
-            stated = sketch.measured(f"{name}.mass")
-            mass = sketch.number(f"{name}.mass")
-            slender, thick = mass * length**2 / 12, mass * (0.15 * length) ** 2 / 6
-            yield from self._body("links.body", mass, (0.0, 0.0, -0.5 * length), (slender, slender, thick),
-                                  0.05 if stated else 0.3, 0.1 * length, measured=stated)
+            yield from self._slender(name, length, (0.0, 0.0, -0.5 * length), upright=True)
         if len(names) == 2:
             ratio = sketch.number(f"{names[1]}.travel") / travel
             yield from ("", "# A chain or a rope takes the second section along.", "[[couplings]]",
@@ -135,11 +131,8 @@ class _Writer:
         """Along the last link: on it at its barrel, on the first section at its rod."""
         name, last, sketch = f"{part.name}_cylinder", self.sketch.members[-1], self.sketch
         travel, short = sketch.number(f"{part.name}.travel"), sketch.number(f"{part.name}_stroke.retracted")
-        forward, up = (sketch.number(f"{name}.barrel_{way}") for way in ("forward", "up"))
         yield from self._piston(name, part.name, short, short + travel, 1, f"{part.name}.travel")
-        measured = sketch.measured(f"{name}.barrel_forward", f"{name}.barrel_up")
-        sigma = 2 * TAPE if measured else max(2 * TAPE, GUESS * math.hypot(forward, up))
-        source = "tape measure" if measured else self.assumed
+        forward, up, sigma, source = self._offset(name, "tape measure")
         yield from ("[cylinders.barrel]", f'link = "{last.name}"',
                     f"pin = {self._vector(complex(forward, up), sigma, source)}")
         bore, rod = sketch.number(f"{name}.bore"), sketch.number(f"{name}.rod")
@@ -207,12 +200,11 @@ class _Writer:
         if jacks > 1:
             yield f"jacks = {jacks}"
         for key, size in (("bore", "bore"), ("rod_diameter", "rod")):
-            source = "measured" if sketch.measured(f"{name}.{size}") else self.assumed
+            source = self._source("measured", f"{name}.{size}")
             yield f'{key} = {{ value = "{1e3 * sketch.number(f"{name}.{size}"):.1f} mm", source = "{source}" }}'
         yield "# pin to pin, fully retracted"
         yield f"dead_length = {self._length(f'{moved}_stroke.retracted')}"
-        source = "tape measure" if sketch.measured(known) else self.assumed
-        yield f'stroke = {{ value = "{long - short:.4f} m", source = "{source}" }}'
+        yield f'stroke = {{ value = "{long - short:.4f} m", source = "{self._source("tape measure", known)}" }}'
         yield f'relief_pressure = {{ value = "300 bar", source = "{self.assumed}" }}'
         yield (f'friction = {{ offset = {self._guess(0.0, "N", 1, 1.5e5 * head)}, '
                f'coulomb = {self._guess(2e5 * head, "N", 1)}, viscous = {self._guess(5e5 * head, "N*s/m", 2)} }}')
@@ -227,7 +219,7 @@ class _Writer:
 
     def _drive(self, member: Member) -> Iterator[str]:
         torque = self.sketch.number(f"{member.name}.torque")
-        source = "stated" if self.sketch.measured(f"{member.name}.torque") else self.assumed
+        source = self._source("stated", f"{member.name}.torque")
         yield from ("", "[[drives]]", f'name = "{member.name}_drive"', f'joint = "{member.name}"',
                     f'max_torque = {{ value = "{torque:.4g} N*m", source = "{source}" }}',
                     f'friction = {{ coulomb = {self._guess(0.03 * torque, "N*m", 1)}, '
@@ -237,15 +229,13 @@ class _Writer:
         members = self.sketch.members
         joints = ([self.kind.slew] if self.kind.slew else []) + [member.name for member in members]
         chambers = [f"{self.kind.slew}_motor.{side}" for side in ("p_a", "p_b")] if self.kind.slew else []
-        chambers += [f"{member.cylinder.name}.{side}" for member in members if member.cylinder
-                     for side in ("p_head", "p_rod")]
-        lengths = [f"{member.cylinder.name}.length" for member in members if member.cylinder]
-        torques = [f"{member.name}.tau" for member in members if member.cylinder is None]
-        part = self.kind.telescope
+        cylinders, part = [member.cylinder.name for member in members if member.cylinder], self.kind.telescope
         slides = [f"{part.name}.q"] if part is not None and self.sketch.sections else []
         if part is not None and slides:
-            chambers += [f"{part.name}_cylinder.{side}" for side in ("p_head", "p_rod")]
-            lengths.append(f"{part.name}_cylinder.length")
+            cylinders.append(f"{part.name}_cylinder")
+        chambers += [f"{name}.{side}" for name in cylinders for side in ("p_head", "p_rod")]
+        lengths = [f"{name}.length" for name in cylinders]
+        torques = [f"{member.name}.tau" for member in members if member.cylinder is None]
         yield from ("", "# Accuracy is the largest error of a reading, either way; a log may hold fewer channels.")
         for channels, accuracy in (([f"{joint}.q" for joint in joints], "0.1 deg"), (chambers, "2 bar"),
                                    (slides, "2 mm"), (lengths, "2 mm"), (torques, "1 N*m")):
@@ -269,20 +259,22 @@ class _Writer:
         yield (f'inertia_com = {{ value = ["{x:.5g} kg*m^2", {zero}, {zero}, "{y:.5g} kg*m^2", {zero}, '
                f'"{z:.5g} kg*m^2"], sigma = "30 %", source = "assumed: a slender body" }}')
 
-    def _pace(self, speed: float, acceleration: float) -> str:
-        return (f'max_speed = {{ value = "{speed} deg/s", source = "assumed" }}, '
-                f'max_acceleration = {{ value = "{acceleration} deg/s^2", source = "assumed" }}')
+    def _pace(self, speed: str, acceleration: str) -> str:
+        return (f'max_speed = {{ value = "{speed}", source = "assumed" }}, '
+                f'max_acceleration = {{ value = "{acceleration}", source = "assumed" }}')
+
+    def _source(self, measured: str, *keys: str) -> str:
+        """Where numbers are from: measured if all were answered."""
+        return measured if self.sketch.measured(*keys) else self.assumed
 
     def _guess(self, value: float, unit: str, spread: float, sigma: float | None = None) -> str:
         size = sigma if sigma is not None else spread * value
         return f'{{ value = "{value:.4g} {unit}", sigma = "{size:.4g} {unit}", source = "{self.assumed}" }}'
 
     def _length(self, key: str) -> str:
-        value = self.sketch.number(key)
-        if self.sketch.measured(key):
-            return f'{{ value = "{value:.4f} m", sigma = "{1e3 * TAPE:.0f} mm", source = "tape measure" }}'
-        sigma = max(TAPE, GUESS * abs(value))
-        return f'{{ value = "{value:.4f} m", sigma = "{1e3 * sigma:.0f} mm", source = "{self.assumed}" }}'
+        value, source = self.sketch.number(key), self._source("tape measure", key)
+        sigma = TAPE if self.sketch.measured(key) else max(TAPE, GUESS * abs(value))
+        return f'{{ value = "{value:.4f} m", sigma = "{1e3 * sigma:.0f} mm", source = "{source}" }}'
 
     def _pin(self, key: str) -> str:
         """A pin from two distances: their errors grow as the angle between them gets flat."""
@@ -294,11 +286,15 @@ class _Writer:
         sine = abs(point.imag) * length / (near * far) if near * far else 0.0
         return self._vector(point, TAPE / max(0.2, min(1.0, sine)), "tape measure, from both ends of the link")
 
+    def _offset(self, name: str, measured: str) -> tuple[float, float, float, str]:
+        """How far in front of a link's first pin and above it a barrel is pinned, standard deviation, and source."""
+        keys = [f"{name}.barrel_{way}" for way in ("forward", "up")]
+        forward, up = map(self.sketch.number, keys)
+        sigma = 2 * TAPE if self.sketch.measured(*keys) else max(2 * TAPE, GUESS * math.hypot(forward, up))
+        return forward, up, sigma, self._source(measured, *keys)
+
     def _ground_pin(self, name: str) -> str:
-        forward, up = (self.sketch.number(f"{name}.barrel_{way}") for way in ("forward", "up"))
-        measured = self.sketch.measured(f"{name}.barrel_forward", f"{name}.barrel_up")
-        source = "tape measure and plumb line" if measured else self.assumed
-        sigma = 2 * TAPE if measured else max(2 * TAPE, GUESS * math.hypot(forward, up))
+        forward, up, sigma, source = self._offset(name, "tape measure and plumb line")
         if not self.kind.slew:
             return self._vector(complex(forward, up), sigma, source)
         offset = self.sketch.number(f"{self.kind.slew}.offset")

@@ -1,19 +1,28 @@
-"""The system's C compiler: which one, what it can do, and how it is called so that it cannot hang this process."""
+"""The system's C compiler, and shared libraries that it makes: once, kept under the hash of all that they depend on.
+
+It is called so that it cannot hang this process.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import functools
+import hashlib
 import logging
 import os
 import platform
 import shlex
 import signal
+import struct
 import subprocess
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
+
+from hydroopt import cache
 
 LEVEL = "-O1"
 """Level of optimisation of what is written for a machine, whose expressions are simple already: `-O3` takes 1.4 times
@@ -45,6 +54,8 @@ LONGEST = 3_000_000
 """Characters of C beyond which any optimisation takes minutes; without, it still beats CasADi's virtual machine."""
 PROBING, COMPILING = 10.0, 120.0
 """Time limits [s] of a compiler to introduce itself, and to compile a kernel."""
+COUNT, NUMBER, ADDRESS = ctypes.c_long, ctypes.c_double, ctypes.c_void_p
+"""What routines take: long, double, and pointers."""
 
 
 @dataclass
@@ -88,7 +99,7 @@ class Compiler:
         return built
 
 
-@cache
+@functools.cache
 def compiler() -> Compiler | None:
     """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works.
 
@@ -153,7 +164,73 @@ def reason(error: Exception) -> str:
     return "".join(c if c.isprintable() else "?" for c in " ".join(said.split()))[:200]
 
 
-@cache
+@functools.cache
 def notice(what: str, instead: str = "CasADi's virtual machine evaluates the model, more slowly") -> None:
     """Say once what does not work, and what happens instead."""
     logging.getLogger("hydroopt").warning("hydroopt: %s; %s.", what, instead)
+
+
+def routine(library: ctypes.CDLL, name: str, *arguments: Any, result: Any = None) -> Callable[..., Any]:
+    """A routine of a library that takes arguments of these types.
+
+    Raises:
+        OSError: the library has no such routine.
+    """
+    try:
+        made: Callable[..., Any] = library[name]
+    except AttributeError:
+        raise OSError(f"the library has no routine '{name}'") from None
+    made.argtypes, made.restype = arguments, result  # type: ignore[attr-defined]
+    return made
+
+
+def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> ctypes.CDLL:
+    """The shared library of some C, kept in the cache under the hash of all that it depends on.
+
+    Args:
+        content: what the C depends on.
+        by: the compiler.
+        write: writes the C.
+
+    Raises:
+        OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
+        NotImplementedError: there is no C for it.
+    """
+    key = hashlib.sha256()
+    how = Path(__file__).read_bytes()
+    for part in (*content, how, " ".join((*by.command, *FLAGS, *by.options)).encode(), by.macros):
+        key.update(hashlib.sha256(part).digest())
+
+    def compiled(place: Path) -> Path:
+        library = by.compile(write(), place)
+        _refuse_broken(library)
+        return library
+
+    try:
+        return cache.kept(key.hexdigest()[:2], key.hexdigest()[:32], ".so", compiled,
+                          lambda library: ctypes.CDLL(str(library)))
+    except OSError as error:
+        notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
+               "folder to which you alone can write")
+    with cache.scratch() as place:
+        return ctypes.CDLL(str(compiled(place)))
+
+
+def _refuse_broken(library: Path) -> None:
+    """Refuse a library that is not whole: it would end this process, now or when its last page is used.
+
+    Linux maps what an ELF file lacks without an error; linkers write its table of sections at the end. All else is
+    found by loading the library in another process.
+
+    Raises:
+        OSError: the library is missing or not whole.
+    """
+    with library.open("rb") as file:
+        head, size = file.read(64), os.fstat(file.fileno()).st_size
+    if head[:5] == b"\x7fELF\x02" and len(head) == 64:
+        start, each, count = *struct.unpack_from("=Q", head, 40), *struct.unpack_from("=HH", head, 58)
+        if not 0 < start <= size - each * count:
+            raise OSError("the compiler wrote a part of the library")
+    load = [sys.executable, "-I", "-S", "-c", "import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)]
+    if subprocess.run(load, capture_output=True, timeout=PROBING, check=False).returncode:
+        raise OSError("the compiler wrote what cannot be loaded")

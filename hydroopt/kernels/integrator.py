@@ -18,9 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydroopt.kernels import c_writer, native
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import compiler, notice, reason
+from hydroopt.kernels.compiler import ADDRESS, COUNT, NUMBER, compiler, notice, reason, routine
 from hydroopt.kernels.expression_graph import Node, Program, Ref
-from hydroopt.kernels.shared_library import ADDRESS, COUNT, NUMBER, routine
 from hydroopt.spatial.inertia import Array
 
 

@@ -20,9 +20,8 @@ import numpy as np
 
 from hydroopt.kernels import c_writer
 from hydroopt.kernels import expression_graph as straight
-from hydroopt.kernels.compiler import Compiler, compiler, notice, reason
+from hydroopt.kernels.compiler import ADDRESS, COUNT, Compiler, built, compiler, notice, reason, routine
 from hydroopt.kernels.expression_graph import Program, program
-from hydroopt.kernels.shared_library import ADDRESS, COUNT, built, routine
 from hydroopt.spatial.inertia import Array
 
 FEW = 256

@@ -28,9 +28,8 @@ from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
-from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.hanging import Hanging
-from hydroopt.model.hydraulics import ActuatorHydraulics
+from hydroopt.model.hydraulics import ActuatorHydraulics, chamber_flows
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
@@ -368,7 +367,7 @@ def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
     """Forces (a,) of all actuators in the model's coordinates."""
     dynamics = model.dynamics
     made = dynamics.forces if model.machine.one_each else dynamics.actuator_forces
-    return made(psi, actuator_inertia=model.actuator_inertia)
+    return made(psi)
 
 
 def _varies(value: ca.SX, q: ca.SX) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.machine.targets import TIP
+from hydroopt.machine.survey import TIP
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array

@@ -20,8 +20,8 @@ from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.stamps import DateOrderError
 from hydroopt.logs.table import Array, NoNumbersError
 from hydroopt.logs.unit_words import of_kind
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.model.model import Model, recent_model
 from hydroopt.units import factor
 

@@ -11,7 +11,7 @@ is stated, and not noise, what is left is smoothed again ("twicing", Tukey 1977)
 at the same frequency, but all below it: `SHARP` = 4 of them damp 0.15 % at 0.6 times it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, factorial
@@ -38,6 +38,7 @@ _DEGREE, _PENALISED, _PROBES = 5, 3, 8
 _FREQUENCIES = 4096
 _LOWEST, _HIGHEST = -4.0, 8.0  # log10 λ in knot units; beyond the highest the knots are made wider
 _ORDER = _DEGREE + 1
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 _POWERS: Array = np.array([
     [comb(_DEGREE, k) * sum((-1.0) ** (s - j) * comb(_ORDER, s - j) * (_DEGREE - s) ** (_DEGREE - k)
@@ -91,15 +92,13 @@ class SmoothSpline:
 
     def __call__(self, t: Array, derivative: int = 0) -> Array:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
-        return self._at(self.basis.places(t), derivative)
+        basis = self.basis
+        return np.asarray(basis.curve(self.coefficients)(basis.places(t), derivative) / basis.spacing**derivative)
 
     @property
     def at_samples(self) -> Array:
         """Values and first two derivatives (3, N) at the samples' own times."""
         return self.basis.courses(self.coefficients[:, None])[:, :, 0]
-
-    def _at(self, x: Array, derivative: int) -> Array:
-        return np.asarray(self.basis.curve(self.coefficients)(x, derivative)) / self.basis.spacing**derivative
 
     def again(self, y: Array) -> "SmoothSpline":
         """The same smoothing of other samples (N,) at the same times."""
@@ -229,29 +228,26 @@ class Basis:
 
     @cached_property
     def gram(self) -> Array:
-        """Sums of B_i·B_j over the samples, in band storage: by those of powers of the place in each knot interval."""
-        place, power = self.x - self.first, np.ones_like(self.x)
-        sums = np.empty((2 * _ORDER - 1, self.intervals))
-        for each in sums:
-            each[:] = np.bincount(self.first, power, self.intervals)
-            power *= place
-        return self._band(lambda i, j: np.convolve(_POWERS[:, i], _POWERS[:, j]) @ sums)
+        """Sums of B_i·B_j over the samples, in band storage."""
+        product = self.design.T @ self.design
+        return np.array([np.pad(product.diagonal(-below), (0, below)) for below in range(_ORDER)])
 
     @cached_property
     def penalty(self) -> Array:
-        """∫ B'''_i B'''_j dx, exact, in band storage."""
-        third = _derived(_PENALISED)
-        exponent = np.arange(len(third))
-        cell = third.T @ (1 / (exponent[:, None] + exponent + 1)) @ third
-        return self._band(lambda i, j: cell[i, j])
-
-    def _band(self, product: Callable[[int, int], Array]) -> Array:
-        """Products of splines in band storage, of those of the i-th and the j-th spline that live in each interval."""
-        band = np.zeros((_DEGREE + 1, self.intervals + _DEGREE))
-        for offset in range(_DEGREE + 1):
-            for j in range(_ORDER - offset):
-                band[offset, j : j + self.intervals] += product(j, j + offset)
+        """∫ B'''_i B'''_j dx in band storage: of each knot interval the same."""
+        cell = self.jerk[0][: len(_POINTS)]
+        band = np.zeros((_ORDER, self.intervals + _DEGREE))
+        for j in range(_ORDER):
+            for below in range(_ORDER - j):
+                band[below, j : j + self.intervals] += cell[:, j] @ cell[:, j + below]
         return band
+
+    @cached_property
+    def jerk(self) -> tuple[Array, NDArray[np.intp]]:
+        """Rows (3·intervals, 6) with ``Σ (rows·c)² = ∫ f'''² dx``, exactly, and the splines that they begin at."""
+        x = (np.arange(self.intervals)[:, None] + (1 + _POINTS) / 2).ravel()
+        first = np.repeat(np.arange(self.intervals), len(_POINTS))
+        return self.values(x, _PENALISED) * np.sqrt(np.tile(_WEIGHTS / 2, self.intervals))[:, None], first
 
     def filter_of(self, bandwidth: float, passes: int = 1) -> Filter:
         """The filter of so many smoothings that passes the frequency `bandwidth` [Hz] by half."""

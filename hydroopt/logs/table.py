@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.extras import needed
 from hydroopt.files import write_file
 from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.mapped import release, stored
 from hydroopt.logs.stamps import Stamps
+from hydroopt.packages import needed
 from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]

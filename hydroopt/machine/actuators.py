@@ -7,9 +7,10 @@ What an actuator *is* to the rest of the package, its chambers and how its force
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, Self
+from collections.abc import Iterator
+from typing import Any, ClassVar, Literal
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import Field, StrictBool
 
 from hydroopt.machine.links import Attachment
 from hydroopt.machine.quantity import (
@@ -20,10 +21,11 @@ from hydroopt.machine.quantity import (
     ImpossibleError,
     Inertia,
     Length,
-    LinearViscosity,
+    LinearStiffness,
     Name,
     Noun,
     Number,
+    PinTorque,
     Pressure,
     Speed,
     Torque,
@@ -36,47 +38,49 @@ SHARED_PRESSURE = 1e7
 """Pressure difference [Pa] by which hydraulic actuators compare with drives where they share a load."""
 
 
-class CylinderFriction(Noun):
-    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled."""
+class TorqueFriction(Noun):
+    """Friction of an actuator on the joint's side, and the offset of its torque reading (Eq. 4.53).
 
-    offset: Force | None = None
-    """Constant error of the force reading."""
-    coulomb: Force | None = Field(None, ge=0)
-    """Dry friction; with `coulomb_reverse` only while extending."""
-    coulomb_reverse: Force | None = Field(None, ge=0)
-    """Dry friction while retracting."""
-    viscous: LinearViscosity | None = Field(None, ge=0)
-    """Friction per speed; with `viscous_reverse` only while extending."""
-    viscous_reverse: LinearViscosity | None = Field(None, ge=0)
-    """Friction per speed while retracting."""
-    stribeck: Force | None = Field(None, ge=0)
+    Terms that are not stated are not modelled. Where the joint slides they are forces.
+    """
+
+    offset: Torque | None = None
+    """Constant error of the torque reading."""
+    coulomb: Torque | None = Field(None, ge=0)
+    """Dry friction; with `coulomb_reverse` only while turning positively, or extending."""
+    coulomb_reverse: Torque | None = Field(None, ge=0)
+    """Dry friction while turning negatively, or retracting."""
+    viscous: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed; with `viscous_reverse` only while turning positively, or extending."""
+    viscous_reverse: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed while turning negatively, or retracting."""
+    stribeck: Torque | None = Field(None, ge=0)
     """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
-    stribeck_speed: Speed | None = Field(None, gt=0)
+    stribeck_speed: AngularSpeed | None = Field(None, gt=0)
     """Speed well above which that excess vanishes; needed with `stribeck`."""
+    dead_zone: AngularSpeed | None = Field(None, gt=0)
+    """Speed below which there is no dry friction: neither Coulomb's nor Stribeck's nor the seals'."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if (self.stribeck is None) != (self.stribeck_speed is None):
+            missing = "stribeck" if self.stribeck is None else "stribeck_speed"
+            yield ImpossibleError("the Stribeck effect is incomplete", f"state '{missing}' as well, or neither",
+                                  missing)
+        dry = (self.coulomb, self.coulomb_reverse, self.stribeck, getattr(self, "seal", None))
+        if self.dead_zone is not None and all(term is None for term in dry):
+            yield ImpossibleError("there is no dry friction that a dead zone could take away",
+                                  "state a dry friction such as 'coulomb', or remove it", "dead_zone")
+
+
+class CylinderFriction(TorqueFriction):
+    """Friction of a cylinder and the offset of its force reading (Eq. 4.54): forces, and torques in its pins."""
+
     seal: Area | None = Field(None, ge=0)
     """Friction per pressure in both chambers together (Bonchis et al. 1999)."""
-    dead_zone: Speed | None = Field(None, gt=0)
-    """Speed below which there is no dry friction: neither Coulomb's nor Stribeck's nor the seals'."""
-    barrel_pin: Torque | None = Field(None, ge=0)
+    barrel_pin: PinTorque | None = Field(None, ge=0)
     """Dry friction in the barrel's pin."""
-    rod_pin: Torque | None = Field(None, ge=0)
+    rod_pin: PinTorque | None = Field(None, ge=0)
     """Dry friction in the rod's pin."""
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        _refuse_half_friction(self)
-        return self
-
-
-def _refuse_half_friction(friction: CylinderFriction | TorqueFriction) -> None:
-    if (friction.stribeck is None) != (friction.stribeck_speed is None):
-        missing = "stribeck" if friction.stribeck is None else "stribeck_speed"
-        raise ImpossibleError("the Stribeck effect is incomplete", f"state '{missing}' as well, or neither",
-                              missing)
-    dry = [friction.coulomb, friction.coulomb_reverse, friction.stribeck, getattr(friction, "seal", None)]
-    if friction.dead_zone is not None and all(term is None for term in dry):
-        raise ImpossibleError("there is no dry friction that a dead zone could take away",
-                              "state a dry friction such as 'coulomb', or remove it", "dead_zone")
 
 
 class Cylinder(Noun):
@@ -86,6 +90,8 @@ class Cylinder(Noun):
     those of all jacks together, which move as one.
     """
 
+    effort_symbol: ClassVar = "f"
+    """What the names of parameters of its force begin with, after the dot."""
     name: Name
     """Name of the cylinder."""
     barrel: Attachment
@@ -117,21 +123,19 @@ class Cylinder(Noun):
     circuit: Circuit | None = None
     """Valve, hoses and leaks."""
 
-    @model_validator(mode="after")
-    def _areas(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         by_area = self.head_area is not None and self.rod_area is not None
         by_diameter = self.bore is not None and self.rod_diameter is not None
         stated = sum(v is not None for v in (self.head_area, self.rod_area, self.bore, self.rod_diameter))
         if stated != 2 or by_area == by_diameter:
-            raise ImpossibleError("piston areas are not stated in one way",
+            yield ImpossibleError("piston areas are not stated in one way",
                                   "give 'head_area' and 'rod_area', or 'bore' and 'rod_diameter'")
         if self.areas[1] >= self.areas[0] or self.areas[1] <= 0:
-            raise ImpossibleError("the rod side's area must lie between zero and the head side's",
+            yield ImpossibleError("the rod side's area must lie between zero and the head side's",
                                   "exchange or correct the two")
         if self.friction.seal is not None and self.friction.seal >= self.areas[1]:
-            raise ImpossibleError("the seals hold the piston against any pressure: their friction grows as fast as "
+            yield ImpossibleError("the seals hold the piston against any pressure: their friction grows as fast as "
                                   "the rod side's force", f"state less than {self.areas[1]:.4g} m^2", "friction.seal")
-        return self
 
     @property
     def areas(self) -> tuple[float, float]:
@@ -158,41 +162,12 @@ class Cylinder(Noun):
         """Channels that the force is measured by, with the factor of each [N/Pa] (Eq. 4.33)."""
         return _by_pressures(self)
 
-    @property
-    def effort_symbol(self) -> Literal["f"]:
-        """What the names of parameters of its force begin with, after the dot."""
-        return "f"
-
-
-class TorqueFriction(Noun):
-    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53), on the joint's side."""
-
-    offset: Torque | None = None
-    """Constant error of the torque reading."""
-    coulomb: Torque | None = Field(None, ge=0)
-    """Dry friction; with `coulomb_reverse` only while turning positively."""
-    coulomb_reverse: Torque | None = Field(None, ge=0)
-    """Dry friction while turning negatively."""
-    viscous: AngularViscosity | None = Field(None, ge=0)
-    """Friction per speed; with `viscous_reverse` only while turning positively."""
-    viscous_reverse: AngularViscosity | None = Field(None, ge=0)
-    """Friction per speed while turning negatively."""
-    stribeck: Torque | None = Field(None, ge=0)
-    """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
-    stribeck_speed: AngularSpeed | None = Field(None, gt=0)
-    """Speed well above which that excess vanishes; needed with `stribeck`."""
-    dead_zone: AngularSpeed | None = Field(None, gt=0)
-    """Speed below which there is no dry friction."""
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        _refuse_half_friction(self)
-        return self
-
 
 class Motor(Noun):
     """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61)."""
 
+    effort_symbol: ClassVar = "tau"
+    """What the names of parameters of its torque begin with, after the dot."""
     name: Name
     """Name of the motor."""
     joint: str
@@ -230,11 +205,6 @@ class Motor(Noun):
         """Channels that the torque is measured by, with the factor of each [N·m/Pa] (Eq. 4.61)."""
         return _by_pressures(self)
 
-    @property
-    def effort_symbol(self) -> Literal["tau"]:
-        """What the names of parameters of its torque begin with, after the dot."""
-        return "tau"
-
 
 def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
     (a, b), (first, second) = actuator.areas, actuator.chambers
@@ -244,6 +214,8 @@ def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
 class Drive(Noun):
     """A joint driven directly by a torque, as in an electric arm; torques are those on the joint's side."""
 
+    effort_symbol: ClassVar = "tau"
+    """What the names of parameters of its torque begin with, after the dot."""
     name: Name
     """Name of the drive."""
     joint: str
@@ -261,11 +233,9 @@ class Drive(Noun):
     ground: StrictBool = False
     """Whether it stands for the ground, by which a base on a slope or in motion moves; not measured."""
 
-    @model_validator(mode="after")
-    def _of_the_ground(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.ground and self.measured:
-            raise ImpossibleError("the ground's torque or force is not measured", "state measured = false", "measured")
-        return self
+            yield ImpossibleError("the ground's torque or force is not measured", "state measured = false", "measured")
 
     @property
     def capacity(self) -> float:
@@ -277,17 +247,29 @@ class Drive(Noun):
         """The channel that the torque is measured by, with its factor."""
         return {f"{self.joint}.tau": 1.0}
 
-    @property
-    def effort_symbol(self) -> Literal["tau"]:
-        """What the names of parameters of its torque begin with, after the dot."""
-        return "tau"
-
 
 Actuator = Cylinder | Motor | Drive
 """What moves joints by a force of its own."""
 
 
-class GasCylinder(Noun):
+class PassivePart(Noun):
+    """A part between two pins that nothing drives; its ends carry no body yet."""
+
+    name: Name
+    """Its name."""
+    barrel: Attachment
+    """Pin of the barrel, or one pin of a spring."""
+    rod: Attachment
+    """Pin of the rod, or the other pin."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
+            if attachment.body is not None:
+                yield ImpossibleError("the ends of gas cylinders and springs carry no body yet",
+                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
+
+
+class GasCylinder(PassivePart):
     """A passive cylinder on a gas volume (accumulator counterbalance) between two links.
 
     Pressure is `precharge` at `reference_length` and follows p·Vⁿ = const with the exponent n = `polytropic`; the
@@ -298,12 +280,6 @@ class GasCylinder(Noun):
     error of 1 bar in 163 there. The ends carry no body yet.
     """
 
-    name: Name
-    """Name of the gas cylinder."""
-    barrel: Attachment
-    """Pin of the barrel; it carries no body."""
-    rod: Attachment
-    """Pin of the rod; it carries no body."""
     acts: Literal["pull", "push"]
     """`pull`: the gas is compressed when it lengthens; `push`: when it shortens."""
     area: Area = Field(gt=0)
@@ -321,10 +297,21 @@ class GasCylinder(Noun):
         """Volume of the gas [m³] at pin distances [m]: numbers or symbols."""
         return self.volume + (1 if self.acts == "push" else -1) * self.area * (length - self.reference_length)
 
-    @model_validator(mode="after")
-    def _no_bodies(self) -> Self:
-        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
-            if attachment.body is not None:
-                raise ImpossibleError("the ends of a gas cylinder carry no body yet",
-                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
-        return self
+
+class Spring(PassivePart):
+    """A linear spring between two links, such as a counterbalance; its ends are called as those of cylinders.
+
+    It pulls its pins together with `preload` + `stiffness`·(length − `reference_length`), and pushes them apart where
+    this is negative. The ends carry no body.
+    """
+
+    stiffness: LinearStiffness = Field(ge=0)
+    """Force per length."""
+    reference_length: Length = Field(gt=0)
+    """Distance of the pins at which it pulls with `preload`; the free length without one."""
+    preload: Force | None = None
+    """Force at the reference length; not modelled if not stated."""
+
+
+Pinned = Cylinder | GasCylinder | Spring
+"""A part between two pins."""

@@ -1,4 +1,4 @@
-"""Measured equations of motion: what is left of one equation a joint when unmeasured actuators are eliminated.
+"""Which joint each actuator is there to move, and the equations of motion that are measured.
 
 By virtual work the joints' generalised forces are τ = T_mᵀ·f_m + T_uᵀ·f_u, with the forces f of measured and of
 unmeasured actuators and their lever arms T. Each unmeasured force is eliminated by the equation of the joint that its
@@ -7,9 +7,11 @@ actuator is there to move. Every other joint keeps its equation: a balance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
+
+import numpy as np
 
 from hydroopt.machine.actuators import Actuator, Cylinder
 
@@ -60,3 +62,89 @@ def balance(joint: str, actuators: tuple[Actuator, ...], *, prismatic: bool) -> 
 def undriven(balances: Sequence[Balance]) -> tuple[int, ...]:
     """Which are those of passive joints, where no force is measured."""
     return tuple(k for k, each in enumerate(balances) if not each.actuators)
+
+
+class UnmeasuredJoint(NamedTuple):
+    """A joint without a balance: forces there are neither predicted nor compared with any log.
+
+    Attributes:
+        joint: its name.
+        actuators: that are there to move it.
+        unmeasured: names of those that no log measures.
+    """
+
+    joint: str
+    actuators: tuple[Actuator, ...]
+    unmeasured: tuple[str, ...]
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it: measure, or state equal cylinders with the same oil as jacks of one."""
+        measure = f"measure {' and '.join(self.unmeasured)}"
+        sizes = [each.areas for each in self.actuators if isinstance(each, Cylinder)]
+        if 1 < len(sizes) == len(self.actuators) and np.ptp(sizes, axis=0).max() <= 1e-6 * np.max(sizes):
+            measure += (f", or if these {len(sizes)} cylinders share their oil state one in their place with "
+                        f"jacks = {len(sizes)}")
+        return measure
+
+
+def matched(moved: Mapping[str, tuple[str, ...]], driven: Collection[str]) -> dict[str, str]:
+    """The joint that each actuator is there to move: the last one, unless nothing else is left to move another one.
+
+    A joint that nothing moves then takes an actuator from a joint that has several, along the shortest chain of
+    actuators that change their joints; so do all six cylinders of a platform share six joints. A joint for which there
+    is no such chain stays without an actuator.
+
+    Args:
+        moved: the joints that each actuator moves, in the order of q.
+        driven: the joints that must have an actuator, in the order of q.
+
+    >>> matched({"boom_cylinder": ("boom",), "tilt_cylinder": ("boom", "stick")}, ("boom", "stick"))
+    {'boom_cylinder': 'boom', 'tilt_cylinder': 'stick'}
+    >>> matched({"left": ("lift", "tilt"), "right": ("lift", "tilt")}, ("lift", "tilt"))
+    {'left': 'lift', 'right': 'tilt'}
+    """
+    mains = {name: joints[-1] for name, joints in moved.items()}
+    for joint in driven:
+        if joint not in mains.values():
+            mains |= _taken(joint, moved, mains, driven)
+    return mains
+
+
+def _taken(joint: str, moved: Mapping[str, tuple[str, ...]], mains: Mapping[str, str],
+           driven: Collection[str]) -> dict[str, str]:
+    """New joints of the actuators in the shortest chain that gives a joint its actuator; empty if there is none."""
+    given = list(mains.values())
+    chains: dict[str, dict[str, str]] = {joint: {}}
+    for wanting in (waiting := [joint]):
+        for name, main in mains.items():
+            if wanting not in moved[name] or main in chains or main not in driven:
+                continue
+            chains[main] = chains[wanting] | {name: wanting}
+            if given.count(main) > 1:
+                return chains[main]
+            waiting.append(main)
+    return {}
+
+
+def entangled(moved: Mapping[str, tuple[str, ...]], mains: Mapping[str, str],
+              joints: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Groups of two and more joints that only all of their actuators move together, in the order of q.
+
+    Where the actuators of each joint move other joints one way only, their equations are solved one after the other,
+    and there is no such group.
+
+    >>> entangled({"left": ("lift", "tilt"), "right": ("lift", "tilt")}, {"left": "lift", "right": "tilt"},
+    ...           ("lift", "tilt"))
+    (('lift', 'tilt'),)
+    """
+    place = {joint: k for k, joint in enumerate(joints)}
+    moves = np.eye(len(joints), dtype=bool)
+    for name, others in moved.items():
+        for joint in others:
+            moves[place[mains[name]], place[joint]] = True
+    for _ in joints:  # in as many steps as it takes
+        moves = moves @ moves
+    each_other = moves & moves.T
+    groups = dict.fromkeys(tuple(joints[k] for k in np.flatnonzero(row)) for row in each_other)
+    return tuple(group for group in groups if len(group) > 1)

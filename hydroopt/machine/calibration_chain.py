@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Iterator
+from typing import Literal
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import Field, StrictBool
 
 from hydroopt.machine.links import JointFriction, Link
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
@@ -27,19 +28,16 @@ class Calibrator(Noun):
     tip: Lengths = (0.0, 0.0, 0.0)
     """The ball's centre (3,) in the frame at the far end of the last link, which is the tool's frame."""
 
-    @model_validator(mode="after")
-    def _serial(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         before = self.parent
         for link in self.links:
             if link.parent != before:
-                raise ImpossibleError(f"link '{link.name}' is attached to '{link.parent}', not to '{before}'",
+                yield ImpossibleError(f"link '{link.name}' is attached to '{link.parent}', not to '{before}'",
                                       "list a calibrator's links in their order, each on the one before")
             if link.joint.friction != JointFriction():
-                raise ImpossibleError(f"the joint of '{link.name}' states friction, which a calibrator's joints do not "
+                yield ImpossibleError(f"the joint of '{link.name}' states friction, which a calibrator's joints do not "
                                       "have", "leave it out")
             before = link.name
-        return self
-
 
 class Fixture(Noun):
     """What holds the tip in the base frame without a sensor (the task of Section 3.3.2).
@@ -77,42 +75,13 @@ class Fixture(Noun):
         """Freedoms t of Eq. 3.1."""
         return 6 - len(self.closes)
 
-    @model_validator(mode="after")
-    def _as_its_kind(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.kind == "ball" and any(self.orientation):
-            raise ImpossibleError(f"'{self.name}' is a ball, which has no orientation",
+            yield ImpossibleError(f"'{self.name}' is a ball, which has no orientation",
                                   "leave the orientation out, or state the kind hinge, rigid or plane")
         if self.tilt and self.kind in ("ball", "plane"):
-            raise ImpossibleError(f"'{self.name}' is a {self.kind}, which holds no turn that could have a tilt",
+            yield ImpossibleError(f"'{self.name}' is a {self.kind}, which holds no turn that could have a tilt",
                                   "leave the tilt out, or state the kind hinge or rigid")
-        return self
-
-
-class Tracker(Noun):
-    """An instrument that tracks the tip in the columns `tip.x`, `tip.y`, `tip.z` of a pose table."""
-
-    position: Lengths = (0.0, 0.0, 0.0)
-    """Place (3,) of its frame in the base frame."""
-    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw of its frame."""
-
-
-class Distance(Noun):
-    """A distance between two points."""
-
-    name: Name
-    """Name of the distance."""
-    between: tuple[Name, Name]
-    """Two fixtures, or two targets of links, base or ground."""
-    length: Length | None = Field(None, gt=0)
-    """Between fixtures the known length, which determines the scale of a closed chain (Section 3.6.4); between targets
-    none: poses read it in the column ``<name>.length``."""
-
-    @property
-    def measured(self) -> bool:
-        """Whether poses read it."""
-        return self.length is None
-
 
 class Stage(Noun):
     """Poses measured one after another.
@@ -130,9 +99,7 @@ class Stage(Noun):
     drift: Angle = Field(0.0, ge=0)
     """Standard deviation of the angle by which leaking cylinders let a locked joint drift, linearly over the stage."""
 
-    @model_validator(mode="after")
-    def _one_state(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         both = sorted(set(self.moves) & set(self.locked))
         if both:
-            raise ImpossibleError(f"'{both[0]}' both moves and is locked", "name it once")
-        return self
+            yield ImpossibleError(f"'{both[0]}' both moves and is locked", "name it once")

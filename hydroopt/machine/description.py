@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field
 
 from hydroopt.machine import addresses
-from hydroopt.machine.actuators import Actuator, Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder, CylinderFriction, Drive, Motor, Pinned
 from hydroopt.machine.addresses import Number
-from hydroopt.machine.balances import Balance, balance
+from hydroopt.machine.balances import Balance, UnmeasuredJoint, balance, entangled, matched
+from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.closures import closures
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.file_schema import Parts
-from hydroopt.machine.imus import INCLINATION, Imu
 from hydroopt.machine.links import Link, Note
-from hydroopt.machine.matching import entangled, matched
-from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.machine.sensor import Lag, Sensor
-from hydroopt.machine.springs import Pinned
-from hydroopt.machine.targets import TIP
-from hydroopt.machine.valves import Circuit
+from hydroopt.machine.loops import Coupling
+from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.machine.quantity import CHANNEL_UNITS, Noun, quantity_of
+from hydroopt.machine.sensors import INCLINATION, Imu, Lag, Sensor
+from hydroopt.machine.survey import TIP
+from hydroopt.machine.valves import Circuit, Valve
 
 BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
@@ -113,6 +114,13 @@ class MachineDescription(Parts):
         return tuple(each for each in self.actuators if each.measured and at.intersection(self.moved_by(each)))
 
     @property
+    def unmeasured_joints(self) -> tuple[UnmeasuredJoint, ...]:
+        """Every joint that has no balance though something moves it; none of those that the ground moves."""
+        return tuple(UnmeasuredJoint(joint, actuators, lost) for joint, actuators in self.drivers.items()
+                     if joint not in self.base_joints
+                     and (lost := tuple(each.name for each in actuators if not each.measured)))
+
+    @property
     def one_each(self) -> bool:
         """Whether each joint of q has one actuator, which is measured: balances are then the actuators' forces."""
         balances = self.balances
@@ -151,7 +159,7 @@ class MachineDescription(Parts):
         return (*self.cylinders, *self.gas_cylinders, *self.springs)
 
     def main_joint(self, actuator: Actuator) -> str:
-        """The joint of q that an actuator is there to move, see `hydroopt.machine.matching.matched`."""
+        """The joint of q that an actuator is there to move, see `hydroopt.machine.balances.matched`."""
         return self._mains[actuator.name]
 
     @cached_property
@@ -216,6 +224,15 @@ class MachineDescription(Parts):
         """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
         return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
 
+    def turns(self, joint: str) -> bool:
+        """Whether a joint turns, not slides."""
+        return self.link(joint).joint.type == "revolute"
+
+    def in_words(self, posture: Mapping[str, float]) -> str:
+        """Positions [rad or m] of joints by name in words."""
+        return ", ".join(f"{joint} = {math.degrees(value):.1f} deg" if self.turns(joint) else f"{joint} = {value:.3f} m"
+                         for joint, value in posture.items())
+
     def position_unit(self, joint: str) -> str:
         """SI unit of a joint's position."""
         return "m" if self.link(joint).joint.type == "prismatic" else "rad"
@@ -230,18 +247,29 @@ class MachineDescription(Parts):
         ratios = {f"ratio.{joint}": self.ratio_unit(coupling.joint, joint) for joint in coupling.ratios}
         return ratios | {"offset": self.position_unit(coupling.joint)}
 
-    def friction_units(self, joint: str) -> dict[str, str]:
-        """SI units of what a joint, motor or drive may state as friction, by key."""
-        effort, viscosity = self.effort_units(joint)
-        speed = "m/s" if self.link(joint).joint.type == "prismatic" else "rad/s"
-        return (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), effort)
-                | dict.fromkeys(("viscous", "viscous_reverse"), viscosity)
-                | dict.fromkeys(("stribeck_speed", "dead_zone"), speed))
+    def unit(self, node: Noun, key: str, owner: str) -> str | None:
+        """SI unit of a key of a part, as its joint turns or slides, its channels are or its command is; None of none.
 
-    def spring_units(self, joint: str) -> dict[str, str]:
-        """SI units of what a joint's spring states, by key."""
-        effort, position = self.effort_units(joint)[0], self.position_unit(joint)
-        return {"stiffness": f"{effort}/{position}", "reference": position, "preload": effort}
+        `owner` is the name of the part that has the key, or of the joint in a table of numbers by joints.
+        """
+        match node, key:
+            case Coupling(), "ratios":
+                return self.ratio_unit(node.joint, owner)
+            case Coupling(), "offset":
+                owner = node.joint
+            case Sensor(), "accuracy" | "resolution":
+                return self.channel_units.get(node.channels[0])
+            case Valve(), "neutral" | "full" | "dead_band" | "dead_band_reverse":
+                return node.command
+        mark = quantity_of(type(node), key)
+        if mark is None or mark.sliding == mark.si:
+            return None if mark is None else mark.si
+        rotary: tuple[Motor | Drive, ...] = (*self.motors, *self.drives)
+        moved = next((part.joint for part in rotary if part.name == owner), owner)
+        links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
+        slides = isinstance(node, CylinderFriction) or any(
+            link.name == moved and link.joint.type == "prismatic" for link in links)
+        return mark.sliding if slides else mark.si
 
     @property
     def channel_units(self) -> dict[str, str]:
@@ -299,71 +327,78 @@ class MachineDescription(Parts):
             if link.body is not None:
                 found += addresses.body_numbers(link.name, link.body, f"{link.name}.body")
         for cylinder in self.cylinders:
-            found += addresses.cylinder_bodies(cylinder)
+            for end, attachment in (("rod", cylinder.rod), ("barrel", cylinder.barrel)):
+                if attachment.body is not None:
+                    owner = f"{cylinder.name}.{end}"
+                    found += addresses.body_numbers(owner, attachment.body, f"{owner}.body")
         for joint in self.tree_joints:
             found += self.effort_numbers(joint)
-        for gas in self.gas_cylinders:
-            found += addresses.gas_numbers(gas)
-        for spring in self.springs:
-            found += addresses.spring_numbers(spring)
-        found += [*self.hydraulic_numbers, *self.geometry_numbers]
-        for fixture in self.fixtures:
-            found += addresses.fixture_numbers(fixture)
+        found += [*self.passive_numbers, *self.hydraulic_numbers, *self.geometry_numbers]
+        found += chain.from_iterable(map(self.fixture_numbers, self.fixtures))
         return {number.name: number for number in found}
+
+    @property
+    def parts(self) -> dict[str, tuple[Any, ...]]:
+        """The parts that have names, by the key of their tables, those of the calibrator last."""
+        found = {key: value for key, value in self if isinstance(value, tuple) and value and hasattr(value[0], "name")}
+        return found | {"calibrator.links": self.calibrator.links if self.calibrator else ()}
 
     def place(self, path: str) -> str:
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
-        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "springs", "imus",
-                 "fixtures", "distances", "targets", "instruments", "datums", "stages", "total_masses")
-        found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
-        if self.calibrator and any(link.name == owner for link in self.calibrator.links):
-            found.append("calibrator.links")
-        return f"{found[0]}[{owner}].{rest}" if found else path
+        found = next((key for key, parts in self.parts.items() if any(part.name == owner for part in parts)), None)
+        return f"{found}[{owner}].{rest}" if found else path
+
+    def _stated(self, rows: Sequence[addresses.Row], *kinds: Sequence[Any]) -> Iterator[Number]:
+        return (number for parts in kinds for part in parts
+                for number in addresses.stated(part, rows, self.unit, part.name))
 
     def effort_numbers(self, joint: str) -> tuple[Number, ...]:
         """Friction, offset and rotor of a moving joint and its actuators, in the order of Eq. 4.53, 4.54."""
-        units = self.friction_units(joint)
-        return (*addresses.joint_friction(self.link(joint), units),
-                *addresses.joint_spring(self.link(joint), self.spring_units(joint)), *chain.from_iterable(
-            addresses.actuator_numbers(each, units) for each in self.drivers.get(joint, ())))
+        return (*self._stated(addresses.JOINT, (self.link(joint),)),
+                *self._stated(addresses.ACTUATOR, self.drivers.get(joint, ())))
+
+    @property
+    def passive_numbers(self) -> tuple[Number, ...]:
+        """Pressures of gas-charged cylinders, stiffness and preload of springs between two pins."""
+        return (*self._stated((("precharge", ParameterKind.GAS_PRESSURE),), self.gas_cylinders),
+                *self._stated(addresses.ELASTIC, self.springs))
 
     @property
     def hydraulic_numbers(self) -> tuple[Number, ...]:
         """Numbers of the oil, then of valves, hoses and leaks, actuator by actuator."""
-        circuits = (addresses.circuit_numbers(name, circuit) for name, circuit in self.circuits.items())
-        return (*(addresses.oil_numbers(self.oil) if self.oil else ()), *chain.from_iterable(circuits))
+        circuits = (addresses.stated(circuit, addresses.CIRCUIT, self.unit, name, f"{name}.circuit")
+                    for name, circuit in self.circuits.items())
+        return (*(addresses.stated(self.oil, addresses.OIL, self.unit, "oil") if self.oil else ()),
+                *chain.from_iterable(circuits))
 
     @property
     def geometry_numbers(self) -> tuple[Number, ...]:
         """Numbers of links and joints, pins, tip and tracker."""
         links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
-        found = [*chain.from_iterable(map(addresses.link_geometry, links)),
-                 *chain.from_iterable(map(addresses.joint_compliance, links)),
-                 *chain.from_iterable(map(addresses.loop_numbers, self.loops)),
-                 *chain.from_iterable(addresses.coupling_numbers(each, self.coupling_units(each))
-                                      for each in self.couplings),
-                 *chain.from_iterable(map(addresses.dead_length, self.cylinders))]
+        single: list[Number] = []
         if self.calibrator:
-            found += addresses.point("tip", self.calibrator.tip, "calibrator.tip")
+            tip: Sequence[addresses.Row] = (("tip", ParameterKind.POSITION, ""),)
+            single += addresses.stated(self.calibrator, tip, self.unit, "tip", "calibrator")
         if self.tracker:
-            found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
-                      *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
-        found += [*self._mountings, *chain.from_iterable(map(addresses.target_numbers, self.targets)),
-                  *chain.from_iterable(map(addresses.instrument_numbers, self.instruments)),
-                  *chain.from_iterable(map(addresses.datum_numbers, self.datums))]
-        return (*found, *chain.from_iterable(map(addresses.pins, self.pinned)))
+            single += addresses.stated(self.tracker, addresses.FRAME, self.unit, "tracker")
+        instruments = [each for each in self.instruments if each.stands]
+        return (*self._stated(addresses.DENAVIT_HARTENBERG, links),
+                *self._stated((("joint.compliance", ParameterKind.COMPLIANCE),),
+                              [link for link in links if link.joint.moving]),
+                *self._stated(addresses.LOOP, self.loops), *self._stated(addresses.COUPLING, self.couplings),
+                *self._stated((("dead_length", ParameterKind.DEAD_LENGTH),), self.cylinders), *single,
+                *self._stated(addresses.FRAME, self.imus, self.targets, instruments),
+                *self._stated(addresses.DATUM, self.datums), *self._stated(addresses.ENDS, self.pinned))
+
+    def fixture_numbers(self, fixture: Fixture) -> tuple[Number, ...]:
+        """Where a fixture stands, and how unless it is a ball."""
+        return tuple(self._stated(addresses.FRAME[:1] if fixture.kind == "ball" else addresses.FRAME, (fixture,)))
 
     @property
     def imu_numbers(self) -> frozenset[str]:
         """Addresses of the numbers that say where IMUs sit."""
-        return frozenset(number.name for number in self._mountings)
-
-    @property
-    def _mountings(self) -> list[Number]:
-        return [number for imu in self.imus
-                for number in (*addresses.point(imu.name, imu.position, f"{imu.name}.position"),
-                               *addresses.orientation(imu.name, imu.orientation, f"{imu.name}.orientation"))]
+        return frozenset(number.name for number in self._stated(addresses.FRAME, self.imus))
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Iterator
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydroopt.machine.quantity import (
     Flow,
@@ -17,7 +17,6 @@ from hydroopt.machine.quantity import (
     Noun,
     Pressure,
     Volume,
-    refuse_inverted,
 )
 
 STEEPEST = np.radians(45)
@@ -42,30 +41,13 @@ class Pump(Noun):
     volume: Volume | None = Field(None, gt=0)
     """Volume of the line behind the pump."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.max_flow is None and (self.pressure is None or self.volume is not None):
-            raise ImpossibleError("the flow of the pump is not stated", "state it" if self.pressure else
+            yield ImpossibleError("the flow of the pump is not stated", "state it" if self.pressure else
                                   "state it, or its 'pressure'", "max_flow")
         if self.pressure is not None and self.pressure <= self.tank_pressure:
-            raise ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
+            yield ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
                                   "pressure")
-        return self
-
-
-class Workspace(Noun):
-    """Where the far end of the last link may go, in the base frame."""
-
-    lower: Lengths
-    """Corner (3,) with the smallest coordinates."""
-    upper: Lengths
-    """Corner (3,) with the largest coordinates."""
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        refuse_inverted("workspace", self.lower, self.upper)
-        return self
-
 
 class Obstacle(Noun):
     """A ball that links and cylinders avoid, but for what is pinned to its link.
@@ -96,15 +78,13 @@ class Footprint(Noun):
     com: Lengths
     """Its centre of mass (3,) in the base frame."""
 
-    @model_validator(mode="after")
-    def _convex(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         points = np.array(self.corners)
         edges = np.roll(points, -1, axis=0) - points
         following = np.roll(edges, -1, axis=0)
         if not np.all(edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0):
-            raise ImpossibleError("the corners do not go round counter-clockwise, or not round a convex area",
+            yield ImpossibleError("the corners do not go round counter-clockwise, or not round a convex area",
                                   "list them counter-clockwise as seen from above")
-        return self
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -118,17 +98,3 @@ class Footprint(Noun):
         twice = points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]
         x, y = (twice @ (points + after) / (3 * np.sum(twice))).tolist()
         return x, y
-
-
-def refuse_sideways(orientation: tuple[float, float, float]) -> None:
-    """Refuse a height of the ground in a base frame whose z axis, turned by roll, pitch and yaw [rad], is not upwards.
-
-    Raises:
-        ImpossibleError: no part of the machine would ever be below such a ground.
-    """
-    roll, pitch, _ = orientation
-    tilt = np.arccos(np.cos(roll) * np.cos(pitch))
-    if tilt > STEEPEST:
-        raise ImpossibleError("the ground is a height along the base's z axis, which points "
-                              f"{np.degrees(tilt):.0f} deg away from upwards", "describe the machine in a base frame "
-                              "whose z axis points up, or leave out 'ground'", "ground")

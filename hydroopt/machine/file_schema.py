@@ -3,32 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Annotated, Any, Self, get_args
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
-from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
-from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.datums import Datum
-from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
-from hydroopt.machine.fault_sizes import FaultSizes
+from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor, Spring
+from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage
+from hydroopt.machine.environment import Footprint, Obstacle, Pump
 from hydroopt.machine.free_links import FreeLink
-from hydroopt.machine.imus import Imu
-from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.linkages import Linkage
-from hydroopt.machine.links import Body, Joint, Link, Note
-from hydroopt.machine.loops import Loop
-from hydroopt.machine.mass_statements import Identical, TotalMass
+from hydroopt.machine.links import Body, Box, Identical, Joint, Link, Note, TotalMass
+from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.oil_links import OilLink
 from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
-from hydroopt.machine.sensor import Sensor
-from hydroopt.machine.springs import Spring
-from hydroopt.machine.targets import Target
+from hydroopt.machine.sensors import FaultSizes, Imu, Sensor
+from hydroopt.machine.survey import Datum, Distance, Instrument, Target, Tracker
 from hydroopt.machine.valves import Oil
 from hydroopt.units import UnitError, spread_to_si, to_si
 
@@ -98,8 +91,8 @@ class Parts(Noun):
     """The fluid."""
     ground: Length | None = None
     """Height of the ground above the origin of the base frame; designed motions stay above it."""
-    workspace: Workspace | None = None
-    """Box for the far end of the last link."""
+    workspace: Box | None = None
+    """Where the far end of the last link may go, in the base frame."""
     obstacles: tuple[Obstacle, ...] = ()
     """Balls that it avoids."""
     footprint: Footprint | None = None
@@ -120,14 +113,11 @@ class FileLink(Link):
     free: FreeLink | None = None
     """Coordinates by which it moves without a joint."""
 
-    @model_validator(mode="after")
-    def _held_in_one_way(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.joint is None and self.free is None:
-            raise ImpossibleError("this key is missing", "add it", "joint")
+            yield ImpossibleError("this key is missing", "add it", "joint")
         if self.joint is not None and self.free is not None:
-            raise ImpossibleError("a free link has a joint, too", "state 'free' or 'joint'")
-        return self
-
+            yield ImpossibleError("a free link has a joint, too", "state 'free' or 'joint'")
 
 class MachineFile(Parts):
     """A machine file: the parts of a machine, and tables that stand for several of them.
@@ -313,11 +303,15 @@ def in_plain_words(mistakes: Sequence[Mapping[str, Any]], data: Mapping[str, Any
         key, here = str(first["loc"][-1])[:80], _keys_at(steps[:-1])
         like = get_close_matches(key, here, 1, 0.75)
         better = f"write '{like[0]}'" if like else f"use one of {', '.join(here)}"
-        known = any(key in noun.model_fields for noun in Noun.__subclasses__())
+        known = any(key in noun.model_fields for noun in _subclasses(Noun))
         return f"this key {'has no meaning here' if known else 'is unknown'}", place, f"{better}, or remove it"
     said = str(node if isinstance(node, bool | int | float | str) else first["input"])
     said = said.lower() if isinstance(node, bool) else said
     return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
+
+
+def _subclasses(noun: type[Noun]) -> list[type[Noun]]:
+    return [noun, *(each for below in noun.__subclasses__() for each in _subclasses(below))]
 
 
 def _keys_at(steps: Sequence[int | str]) -> list[str]:
@@ -348,5 +342,3 @@ def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> st
         if kind.startswith(start):
             return f"must be {words.format(**context)}"
     return message[:1].lower() + message[1:]
-
-

@@ -1,14 +1,15 @@
 """Links that joints do not hold: a platform on cylinders, a base in motion; as the chain of joints they stand for.
 
-First comes the position along x, y, z of the link's parent, then yaw about z, pitch about y and roll about x.
+First comes the position along x, y, z of the link's parent, then yaw about z, pitch about y and roll about x. Of a base
+that stands on a slope or moves they lead from the frame `base`, which rests, to the link `chassis`, on which all stands
+that the file puts on the base. The ground moves these joints, by forces that are not measured, so that their equations
+are eliminated; their positions are measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
-
-from pydantic import model_validator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from hydroopt.machine.quantity import AngularSpeed, ImpossibleError, JointAcceleration, Noun, Position
 
@@ -46,18 +47,18 @@ class FreeLink(Noun):
     roll: Coordinate | None = None
     """Turn about x, third."""
 
-    @model_validator(mode="after")
-    def _moves(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not self.model_fields_set:
-            raise ImpossibleError("no coordinate is stated",
+            yield ImpossibleError("no coordinate is stated",
                                   "state some, such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
-        return self
-
 
 AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
 """Coordinates in the order of their joints, and the axis of each."""
 _TURN = {"x": ({"beta": "90 deg"}, {"beta": "-90 deg"}), "y": ({"alpha": "-90 deg"}, {"alpha": "90 deg"})}
 """How z turns to an axis, and back."""
+
+CHASSIS = "chassis"
+"""The link that carries what stands on a moving base."""
 
 
 def expand(data: dict[str, Any]) -> dict[str, str]:
@@ -102,3 +103,35 @@ def chain(name: str, parent: str, limits: Mapping[str, Any]) -> list[dict[str, A
             add(f"{name}_{key}_axis", {"type": "locked", **there})
         add(f"{name}_{key}", {"type": "prismatic" if key in "xyz" else "revolute", **back, **limits[key]})
     return made
+
+
+def expand_base(data: dict[str, Any]) -> dict[str, str]:
+    """Put joints in the place of the table `base_motion` of a description that was validated.
+
+    Returns:
+        Which place of the machine stands where in the file.
+    """
+    if "base_motion" not in data:
+        return {}
+    stated = data.pop("base_motion")
+    links = chain("base", "base", stated)
+    moving = [key for key in AXES if key in stated]
+    drives = [{"name": f"base_{key}_ground", "joint": f"base_{key}", "measured": False,
+               "ground": True} for key in moving]
+    _on_chassis(data)
+    links.append({"name": CHASSIS, "parent": links[-1]["name"], "joint": {"type": "locked"}})
+    data["links"] = [*links, *data["links"]]
+    data["drives"] = [*drives, *data.get("drives", [])]
+    return {f"links[base_{key}].joint": f"base_motion.{key}" for key in moving}
+
+
+def _on_chassis(data: Mapping[str, Any]) -> None:
+    """Attach to the chassis what the file attaches to the base."""
+    held = [(link, "parent") for link in data["links"]]
+    held += [(part[end], "link") for kind in ("cylinders", "gas_cylinders", "springs") for part in data.get(kind, [])
+             for end in ("barrel", "rod")]
+    held += [(table, "link") for loop in data.get("loops", []) for table in (loop, loop["to"])]
+    held += [(part, "link") for kind in ("obstacles", "imus", "targets", "instruments") for part in data.get(kind, [])]
+    for table, key in held:
+        if table.get(key) == "base":
+            table[key] = CHASSIS

@@ -1,4 +1,4 @@
-"""Loops that no closed form solves: Newton's method from a start that a polynomial of the joints before gives.
+"""Loops and couplings by Newton's method: from a start that a polynomial of the joints before gives.
 
 All solutions over the ranges of the joints that the loops follow are tracked from the stated posture, along straight
 lines; a polynomial is fitted to them, and as many steps of Newton's method are taken from it as bring every sample to
@@ -7,7 +7,7 @@ rounding. The number of steps is fixed, so that positions are one expression, wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
@@ -15,11 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.machine.assembly import Solved
-from hydroopt.machine.closures import GeneralClosure, place, said
-from hydroopt.machine.equations import closure_equations, directions
+from hydroopt.machine.closures import Closure
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.posture import apart, said_posture, turns
+from hydroopt.machine.loops import Coupling, Loop, Statement
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
@@ -39,7 +38,7 @@ MOST = 6
 ALONG, CORRECTIONS = 32, 3
 """Steps of the tracking from the posture to a sample, and Newton's steps in each of them."""
 MOBILE = 1e-9
-"""Volume of `Solved.sine` below which loops determine nothing."""
+"""Volume of `GeneralAssembly.solved` below which loops determine nothing."""
 WITHIN = np.radians(45.0)
 """A posture is near to the one that closes if no joint is farther from it than this angle [rad]."""
 
@@ -68,47 +67,73 @@ class Start(NamedTuple):
 
 
 class GeneralAssembly(NamedTuple):
-    """Loops as they are assembled: a start, and the number of Newton's steps from it."""
+    """A closure as it is assembled: a start, and the number of Newton's steps from it; without `start` it is linear."""
 
-    closure: GeneralClosure
-    start: Start
-    steps: int
+    closure: Closure
+    start: Start | None = None
+    steps: int = 1
 
-    def solved(self, geometry: Geometry, q: Mapping[str, Any]) -> Solved:
-        """Positions of their joints, from those before."""
+    def solved(self, geometry: Geometry, q: Mapping[str, Any]) -> tuple[dict[str, Any], ca.SX | None]:
+        """Positions of its joints from those before, by name, not a number where it cannot close; and a sine.
+
+        The sine is that of the angle between the directions in which its joints move its pin, or the volume that these
+        directions span: 1 at best, 0 at a dead point. Couplings have none.
+        """
         own, x = self.closure.joints, ca.SX.sym("x", len(self.closure.joints))
         at = {**q, **dict(zip(own, ca.vertsplit(x), strict=True))}
         equations = closure_equations(geometry, self.closure.statements, at)
-        J = ca.jacobian(equations, x)
-        terms = self.start.terms([q[joint] for joint in self.closure.follows])
-        found = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
-                             for row in self.start.coefficients))
+        J, found = ca.jacobian(equations, x), ca.SX.zeros(len(own))
+        if self.start is not None:
+            terms = self.start.terms([q[joint] for joint in self.closure.follows])
+            found = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
+                                 for row in self.start.coefficients))
         for left in reversed(range(self.steps)):
             gap, slope = ca.substitute([equations, J], [x], [found])
             step = ca.solve(slope, gap)
-            if not left:
+            if self.start is not None and not left:
                 step *= ca.sqrt(1 - (ca.sumsqr(gap) / CLOSED**2)**2)
             found -= step
-        volume = ca.substitute(_volume(geometry, self.closure, at, J, x), x, found)
-        return Solved(dict(zip(own, ca.vertsplit(found), strict=True)), volume)
+        volume = None if self.start is None else ca.substitute(_volume(geometry, self.closure, at, J, x), x, found)
+        return dict(zip(own, ca.vertsplit(found), strict=True)), volume
 
     def why_open(self, geometry: Geometry, q: Mapping[str, Any]) -> str:
-        """Why they cannot close, in words."""
+        """Why it cannot close, in words."""
         return "no positions of its joints near those of its posture bring its ends together"
 
-    @property
-    def dead(self) -> str:
+    def dead(self, geometry: Geometry) -> str:
         """What happens at a dead point, in words."""
         return f"it no longer determines {' and '.join(self.closure.joints)}"
 
 
-def _volume(geometry: Geometry, closure: GeneralClosure, at: Mapping[str, Any], J: ca.SX, x: ca.SX) -> ca.SX:
-    """Determinant of the equations' Jacobian over the lengths of the directions in which each joint moves the ends."""
-    ways = ca.jacobian(directions(geometry, closure.statements, at), x)
-    sizes = [ca.norm_2(ways[:, k]) for k in range(ways.size2())]
-    volume = ca.det(J)
-    for size in sizes:
-        volume /= size
+def closure_equations(geometry: Geometry, statements: Sequence[Statement], q: Mapping[str, Any]) -> ca.SX:
+    """Equations (m,) [m, or the unit of a coupling's joint] of loops and couplings at positions of all joints by name.
+
+    They are zero where these close. A pin has two in the loop's plane, a ball three, and a rod of length L with the
+    vector g between its ends has (g·g − L²)/2L.
+    """
+    rows = []
+    for each in statements:
+        if isinstance(each, Coupling):
+            following = sum((geometry.value[f"{each.name}.ratio.{joint}"] * q[joint] for joint in each.ratios),
+                            geometry.value[f"{each.name}.offset"])
+            rows.append(q[each.joint] - following)
+            continue
+        gap = geometry.loop_gap(each, q)
+        if each.closed_by == "rod":
+            length = geometry.value[f"{each.name}.length"]
+            gap = (ca.sumsqr(gap) - length**2) / (2 * length)
+        rows.append(gap[:2] if each.closed_by == "pin" else gap)
+    return ca.vertcat(*rows)
+
+
+def _volume(geometry: Geometry, closure: Closure, at: Mapping[str, Any], J: ca.SX, x: ca.SX) -> ca.SX:
+    """Determinant of the equations' Jacobian over the lengths of the directions in which each joint moves the ends: of
+    a rod the whole vector between them."""
+    ends = [geometry.loop_gap(each, at) if isinstance(each, Loop) and each.closed_by == "rod"
+            else closure_equations(geometry, (each,), at) for each in closure.statements]
+    ways, volume = ca.jacobian(ca.vertcat(*ends), x), ca.det(J)
+    for k in range(ways.size2()):
+        volume /= ca.norm_2(ways[:, k])
     return volume
 
 
@@ -116,7 +141,7 @@ class _Problem(NamedTuple):
     """Equations of loops as a function of their joints (m, N) and those that they follow (n, N)."""
 
     geometry: Geometry
-    closure: GeneralClosure
+    closure: Closure
     function: ca.Function
 
     def values(self, x: Array, q: Array) -> tuple[Array, Array, Array]:
@@ -156,7 +181,7 @@ class _Problem(NamedTuple):
         return at
 
 
-def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str, float],
+def assembled(geometry: Geometry, closure: Closure, posture: Mapping[str, float],
               before: Mapping[str, ca.SX], follows: ca.SX) -> GeneralAssembly:
     """Loops as a posture states that they are assembled.
 
@@ -189,10 +214,10 @@ def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str,
     positions = problem.tracked(here, begin, q)
     if (lost := np.flatnonzero(~np.isfinite(positions).all(axis=0))).size:
         nearest = lost[np.argmin(np.linalg.norm((q[:, lost] - begin[:, None]) / half[:, None], axis=0))]
-        words = said_posture(machine, dict(zip(closure.follows, q[:, nearest].tolist(), strict=True)))
-        raise ImpossibleError(f"{said(closure)} cannot close, or only beyond a dead point, on the way from its "
+        words = machine.in_words(dict(zip(closure.follows, q[:, nearest].tolist(), strict=True)))
+        raise ImpossibleError(f"{closure} cannot close, or only beyond a dead point, on the way from its "
                               f"posture to {words}", "correct its pins and lengths, or narrow the joints' limits",
-                              place(closure.statements[0]))
+                              closure.statements[0].place)
     lowest, highest = DEGREES.get(n, (2, 3))
     for degree in range(lowest, highest + 1):
         powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(n), k))
@@ -202,9 +227,9 @@ def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str,
         steps = _steps(problem, fitted @ terms, q, positions)
         if steps is not None:
             return GeneralAssembly(closure, shape._replace(coefficients=fitted), steps)
-    raise ImpossibleError(f"{said(closure)} would come too near to a dead point in the range of "
+    raise ImpossibleError(f"{closure} would come too near to a dead point in the range of "
                           f"{', '.join(closure.follows)} for Newton's method", "narrow the joints' limits",
-                          place(closure.statements[0]))
+                          closure.statements[0].place)
 
 
 def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int | None:
@@ -222,8 +247,8 @@ def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int |
 def _closed(problem: _Problem, posture: Mapping[str, float], begin: Array) -> Array:
     """Positions (m,) near those of a posture that close the loops."""
     machine, closure = problem.geometry.machine, problem.closure
-    where = f"{place(closure.statements[0])}.posture"
-    words = said_posture(machine, {joint: posture[joint] for joint in closure.follows})
+    where = f"{closure.statements[0].place}.posture"
+    words = machine.in_words({joint: posture[joint] for joint in closure.follows})
     here = np.array([[posture[joint]] for joint in closure.joints])
     for _ in range(50):
         step = problem.step(here, begin[:, None]) - here
@@ -231,15 +256,22 @@ def _closed(problem: _Problem, posture: Mapping[str, float], begin: Array) -> Ar
         here = here + step * min(1.0, 0.3 / max(float(np.max(np.abs(step))), 1e-300))
     gap, _, volume = problem.values(here, begin[:, None])
     if not np.max(np.abs(gap)) < 1e-9:
-        raise ImpossibleError(f"{said(closure)} cannot close near the posture of '{closure.statements[0].name}', "
+        raise ImpossibleError(f"{closure} cannot close near the posture of '{closure.statements[0].name}', "
                               f"{words}", "correct pins and lengths, or the posture", where)
     if not abs(float(volume[0])) > MOBILE:
-        raise ImpossibleError(f"{said(closure)} cannot hold {', '.join(closure.joints)}: they can move while "
+        raise ImpossibleError(f"{closure} cannot hold {', '.join(closure.joints)}: they can move while "
                               f"{', '.join(closure.follows)} rest", "correct its pins, let one of them move by itself, "
-                              "or remove a loop that repeats another one", place(closure.statements[0]))
+                              "or remove a loop that repeats another one", closure.statements[0].place)
     for joint, value in zip(closure.joints, here[:, 0].tolist(), strict=True):
-        if turns(machine, joint) and apart(machine, joint, value, posture[joint]) > WITHIN:
-            stands = said_posture(machine, dict(zip(closure.joints, here[:, 0].tolist(), strict=True)))
-            raise ImpossibleError(f"{said(closure)} would close away from its posture: at {words} stands {stands}",
+        if machine.turns(joint) and apart(machine, joint, value, posture[joint]) > WITHIN:
+            stands = machine.in_words(dict(zip(closure.joints, here[:, 0].tolist(), strict=True)))
+            raise ImpossibleError(f"{closure} would close away from its posture: at {words} stands {stands}",
                                   "state the posture that the machine has", where)
     return np.asarray(here[:, 0])
+
+
+def apart(machine: Machine, joint: str, one: float, other: float) -> float:
+    """How far two positions [rad or m] of a joint are apart; whole turns do not count."""
+    if not machine.turns(joint):
+        return abs(one - other)
+    return float(abs(np.arctan2(np.sin(one - other), np.cos(one - other))))

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from hydroopt.machine.actuators import Pinned
 from hydroopt.machine.addresses import AXES, TURNS
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.machine.springs import Pinned
 from hydroopt.spatial.cylinder_triangle import Triangle, triangle
 from hydroopt.spatial.poses import Pose, identity, joint_pose, link_pose
 

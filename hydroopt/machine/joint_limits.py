@@ -8,17 +8,16 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.cylinder_checks import FEW
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.loop_checks import FLAT
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
-from hydroopt.spatial.cylinder_triangle import Triangle, triangle_angle
+from hydroopt.machine.range_checks import FLAT, POINTS
+from hydroopt.spatial.inertia import Array
 
 INSIDE = 1e-6
 """How far inside the end of a stroke, or inside a dead point, a limit is set [rad, m]."""
-POINTS = 25
-"""Of the range of each other joint that moves a cylinder, as many as its check has."""
+BESIDE = 25
+"""Points of the range of each other joint that moves a cylinder."""
 
 
 class NarrowedLimits(NamedTuple):
@@ -46,81 +45,61 @@ def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...
     >>> [(change.joint, change.cylinder) for change in changes]
     [('boom', 'boom_cylinder')]
     """
-    geometry, drivers, changes = Geometry(machine), machine.drivers, []
+    drivers, changes = machine.drivers, []
     entangled = {joint for group in machine.entangled for joint in group}
     for cylinder in sorted(machine.cylinders, key=lambda each: len(machine.moved_by(each))):
         joint, moved = machine.main_joint(cylinder), machine.moved_by(cylinder)
-        if joint in entangled or len(moved) > FEW:
+        if joint in entangled or len(moved) not in POINTS:
             continue
         others = tuple(name for name in moved if name != joint)
-        lower, upper = machine.link(joint).joint.range
-        alone, found = len(drivers[joint]) == 1, geometry.triangle(cylinder)
-        reach = (_reach(cylinder, found[1], (lower + upper) / 2) if alone and found and (found[0],) == moved
-                 else _reach_on_grid(machine, cylinder, joint, others, alone=alone))
-        if reach is None:
-            continue
-        after = max(lower, reach[0]), min(upper, reach[1])
-        if after != (lower, upper) and after[0] < after[1]:
-            changes.append(NarrowedLimits(joint, cylinder.name, (lower, upper), after, others))
+        before = machine.link(joint).joint.range
+        after = _reach(machine, cylinder, joint, others, alone=len(drivers[joint]) == 1)
+        if after is not None and after != before and after[0] < after[1]:
+            changes.append(NarrowedLimits(joint, cylinder.name, before, after, others))
             machine = machine.with_joint_limits({joint: after})
     return machine, tuple(changes)
 
 
-def _reach_on_grid(machine: Machine, cylinder: Cylinder, joint: str, others: tuple[str, ...], *,
-                   alone: bool) -> tuple[float, float] | None:
-    """Positions [rad, m] about the middle of a joint's range that stroke, lever arm and loops allow wherever other
-    joints stand; None if none.
+def _reach(machine: Machine, cylinder: Cylinder, joint: str, others: tuple[str, ...], *,
+           alone: bool) -> tuple[float, float] | None:
+    """The part of a joint's range [rad, m] nearest to its middle in which stroke, lever arm and loops allow all
+    positions, wherever other joints stand; None if there is none.
 
     A cylinder that is not `alone` at its joint may pass its dead point.
     """
     geometry, mechanism = Geometry(machine), Mechanism(machine)
     q = {name: ca.SX.sym(name) for name in (joint, *others)}
-    lower, upper = machine.link(joint).joint.range
     at = mechanism.positions(geometry, q)
     length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
-    sines = ca.vertcat(*mechanism.sines(geometry, q))
-    function = ca.Function("length", list(q.values()), [length, ca.jacobian(length, q[joint]), sines])
-    axes = [np.linspace(*machine.link(name).joint.range, POINTS) for name in others]
-    beside = [values.reshape(1, -1) for values in np.meshgrid(*axes, indexing="ij")]
-    middle = (lower + upper) / 2
-    sign = np.sign(float(function(middle, *(np.median(values) for values in beside))[1]))
+    function = ca.Function("reach", [ca.vertcat(*q.values())], [ca.vertcat(
+        length - cylinder.dead_length, ca.jacobian(length, q[joint]), *mechanism.sines(geometry, q))])
+    axes = [np.linspace(*machine.link(name).joint.range, BESIDE) for name in others]
+    beside = np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")]) if others else np.zeros((0, 1))
 
-    def usable(angle: float) -> bool:
-        lengths, arms, clear = (np.asarray(values) for values in function(
-            np.full(beside[0].shape if beside else (1, 1), angle), *beside))
-        strokes = lengths - cylinder.dead_length
-        works = np.all(arms * sign > 0) or not alone
-        return bool(np.all((strokes >= 0) & (strokes <= cylinder.stroke)) and works
-                    and np.all(np.abs(clear) > np.sin(FLAT)))
+    def sign(positions: Array) -> Array:
+        """Of the lever arm at positions (N,) where all of them are usable, else 0."""
+        states = np.vstack([np.repeat(positions, beside.shape[1]), np.tile(beside, len(positions))])
+        stroke, arm, *clear = np.asarray(function(states)).reshape(-1, len(positions), beside.shape[1])
+        works = (stroke >= 0) & (stroke <= cylinder.stroke) & np.all(np.abs(clear) > np.sin(FLAT), axis=0)
+        turns = np.sign(arm[:, :1]) if alone else np.ones((len(positions), 1))
+        return np.asarray(np.where(np.all(works & (turns * arm > 0 if alone else True), axis=1), turns[:, 0], 0.0))
 
-    if not usable(middle):
+    lower, upper = machine.link(joint).joint.range
+    grid = np.linspace(lower, upper, 361)
+    found = sign(grid)
+    if not found.any():
         return None
+    start = min(np.flatnonzero(found), key=lambda k: abs(k - len(grid) // 2))
     ends = []
-    for end in (lower, upper):
-        grid = np.linspace(middle, end, 181)
-        bad = next((k for k, angle in enumerate(grid) if not usable(float(angle))), None)
+    for end in (0, len(grid) - 1):
+        step = 1 if end else -1
+        bad = next((k for k in range(start, end + step, step) if found[k] != found[start]), None)
         if bad is None:
-            ends.append(float(end))
+            ends.append(float(grid[end]))
             continue
-        good, past = float(grid[bad - 1]), float(grid[bad])
-        while abs(past - good) > INSIDE / 10:
+        good, past = float(grid[bad - step]), float(grid[bad])
+        while abs(past - good) > 1e-5 * INSIDE:
             half = (good + past) / 2
-            good, past = (half, past) if usable(half) else (good, half)
-        ends.append(good - np.copysign(INSIDE, end - middle))
+            good, past = (half, past) if sign(np.array([half]))[0] == found[start] else (good, half)
+        ends.append(good - step * INSIDE)
     return ends[0], ends[1]
-
-
-def _reach(cylinder: Cylinder, sides: Triangle, middle: float) -> tuple[float, float] | None:
-    """Angles [rad] about the one given that the stroke covers without a dead point; None if there are none."""
-    fixed, moving, offset, lateral = (float(side) for side in sides)
-    branch = 1 if np.sin(middle + offset) > 0 else -1
-    shortest, longest = (float(np.hypot(fixed + sign * moving, lateral)) for sign in (-1, 1))
-    # not quite as far as the triangle folds or stretches, where its angle is lost in rounding
-    rounding = 1e-12 * longest
-    ends = np.clip([cylinder.dead_length, cylinder.dead_length + cylinder.stroke], shortest + rounding,
-                   longest - rounding)
-    if ends[0] >= ends[1]:
-        return None
-    # at a clipped end pins and axis lie in one line, a dead point
-    low, high = sorted(float(triangle_angle(sides, end, branch, middle)) for end in ends)
-    return low + INSIDE, high - INSIDE

@@ -6,13 +6,12 @@ A number may be given as a string with its unit wherever a part is built: ``Join
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, Literal, Self
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, StrictBool, ValidationInfo, field_validator, model_validator
 
-from hydroopt.machine.mass_statements import Shape
 from hydroopt.machine.quantity import (
     Angle,
     AngularCompliance,
@@ -31,7 +30,6 @@ from hydroopt.machine.quantity import (
     Six,
     Stiffness,
     Torque,
-    keyed,
 )
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -54,6 +52,92 @@ class Note(Noun):
         if self.sigma is None:
             return None
         return self.sigma * max(abs(value) for value in values) if self.relative else self.sigma
+
+
+class Box(Noun):
+    """All points between two corners, with edges along the axes of the frame."""
+
+    lower: Lengths
+    """Corner (3,) with the smallest coordinates."""
+    upper: Lengths
+    """Corner (3,) with the largest coordinates."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                yield ImpossibleError(f"along {axis} the lower end, {low:.6g} m, is not below the upper one, "
+                                      f"{high:.6g} m", "exchange or correct them")
+
+class Ellipsoid(Noun):
+    """All points of an ellipsoid with semi-axes along the axes of the body's frame."""
+
+    centre: Lengths
+    """Centre (3,)."""
+    semi_axes: Lengths
+    """Semi-axes (3,)."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if min(self.semi_axes) <= 0:
+            yield ImpossibleError("a semi-axis is not above zero", "state half of what the body extends along each "
+                                  "axis", "semi_axes")
+
+class Tube(Noun):
+    """All points of a cylinder about the x axis of the body's frame."""
+
+    radius: Length = Field(gt=0)
+    """Radius."""
+    start: Length
+    """Place of one end along x."""
+    end: Length
+    """Place of the other end along x."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if not self.start < self.end:
+            yield ImpossibleError(f"the cylinder's start, {self.start:.6g} m, is not below its end, {self.end:.6g} m",
+                                  "exchange or correct them")
+
+class Shape(Noun):
+    """Where a body's mass is, in the frame of the body's numbers: exactly one of these."""
+
+    box: Box | None = None
+    """A box."""
+    ellipsoid: Ellipsoid | None = None
+    """An ellipsoid."""
+    cylinder: Tube | None = None
+    """A cylinder along x."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if (self.box, self.ellipsoid, self.cylinder).count(None) != 2:
+            yield ImpossibleError("a shape is one of a box, an ellipsoid and a cylinder",
+                                  "give exactly one of 'box', 'ellipsoid' and 'cylinder'")
+
+    @property
+    def faces(self) -> Array:
+        """(f, 4) rows a with ``a·[x; 1] ≥ 0`` inside: the distance from each flat face, the opposite one's being 1."""
+        if self.box:
+            lower, upper = np.array(self.box.lower), np.array(self.box.upper)
+            normals = np.diag(1 / (upper - lower))
+            return np.block([[normals, -normals @ lower[:, None]], [-normals, normals @ upper[:, None]]])
+        if self.cylinder:
+            start, end = self.cylinder.start, self.cylinder.end
+            return np.array([[1.0, 0, 0, -start], [-1.0, 0, 0, end]]) / (end - start)
+        return np.empty((0, 4))
+
+    @property
+    def ball(self) -> Array | None:
+        """(3, 4) matrix B with ``‖B·[x; 1]‖ ≤ 1`` inside: the round part, if there is one."""
+        if self.ellipsoid:
+            normals = np.diag(1 / np.array(self.ellipsoid.semi_axes))
+            return np.column_stack([normals, -normals @ self.ellipsoid.centre])
+        if self.cylinder:
+            return np.diag([0.0, 1, 1, 0])[:3] / self.cylinder.radius
+        return None
+
+    def depth(self, point: Array) -> float:
+        """How far a point (3,) lies inside, as a part of the shape's size; negative outside."""
+        at = np.append(point, 1.0)
+        round_part = [] if self.ball is None else [1 - float(np.linalg.norm(self.ball @ at))]
+        return float(min([*(self.faces @ at), *round_part]))
 
 
 class Body(Noun):
@@ -83,30 +167,24 @@ class Body(Noun):
     def _planes(cls, stated: Any) -> Any:
         return (stated,) if isinstance(stated, str) else stated
 
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if (self.com is None) != (self.inertia_com is None) or (self.mc is None) != (self.inertia is None):
-            raise ImpossibleError("a body is stated by 'com' with 'inertia_com' or by 'mc' with 'inertia'",
+            yield ImpossibleError("a body is stated by 'com' with 'inertia_com' or by 'mc' with 'inertia'",
                                   "give exactly one of these pairs")
         if (self.com is None) == (self.mc is None):
-            raise ImpossibleError("a body needs one of 'com' with 'inertia_com' and 'mc' with 'inertia'",
+            yield ImpossibleError("a body needs one of 'com' with 'inertia_com' and 'mc' with 'inertia'",
                                   "give exactly one of these pairs")
-        return self
-
-    @model_validator(mode="after")
-    def _as_stated(self) -> Self:
         phi = self.phi
         if self.shape and self.m > 0 and self.shape.depth(phi[1:4] / self.m) < -1e-6:
-            raise ImpossibleError("the centre of mass lies outside the shape", "correct one of the two", "shape")
+            yield ImpossibleError("the centre of mass lies outside the shape", "correct one of the two", "shape")
         length = math.sqrt(max(abs(phi[[4, 7, 9]].sum()) / max(self.m, 1e-9), 1e-12))  # as of a radius of gyration
         size = self.m * np.array([length] * 3 + [length**2] * 6)
         for plane in self.symmetric:
             odd = list(inertia.ODD_MOMENTS[plane])
             if np.any(np.abs(phi[odd]) > 1e-6 * size[np.array(odd) - 1]):
                 names = ", ".join(inertia.NAMES[k] for k in odd)
-                raise ImpossibleError(f"the body's numbers are not symmetric about {plane}: of {names} one is not zero",
+                yield ImpossibleError(f"the body's numbers are not symmetric about {plane}: of {names} one is not zero",
                                       "correct them or leave the symmetry out", "symmetric")
-        return self
 
     @property
     def phi(self) -> Array:
@@ -117,6 +195,36 @@ class Body(Noun):
         assert self.mc is not None
         assert self.inertia is not None
         return np.array([self.m, *self.mc, *self.inertia])
+
+
+class TotalMass(Noun):
+    """The mass of several bodies together, as of a weighbridge; with a confidence it is a prior, without it exact."""
+
+    name: Name
+    """Name of the statement."""
+    bodies: tuple[str, ...] = Field(min_length=1)
+    """Bodies that were weighed together, such as `boom`, `boom_cylinder.rod`."""
+    value: Mass = Field(gt=0)
+    """Their mass."""
+
+
+class Identical(Noun):
+    """Identical parts."""
+
+    name: Name
+    """Name of the statement."""
+    bodies: tuple[str, ...] = ()
+    """Bodies of equal inertial parameters."""
+    friction: tuple[str, ...] = ()
+    """Actuators of equal friction."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if not (self.bodies or self.friction):
+            yield ImpossibleError("no identical parts are named", "name two or more bodies, or actuators under "
+                                  "'friction'", "bodies")
+        for key, owners in (("bodies", self.bodies), ("friction", self.friction)):
+            if len(owners) == 1:
+                yield ImpossibleError(f"'{owners[0]}' alone is not like anything", "name two or more", key)
 
 
 class JointFriction(Noun):
@@ -188,33 +296,34 @@ class Joint(Noun):
             if data.get(key) is not None:
                 if data["type"] == "locked":
                     raise ImpossibleError("a locked joint has a limit", "remove it or let the joint move", key)
-                keyed(Quantity(si), data[key], info, key)
+                try:
+                    Quantity(si)(data[key], info)
+                except ImpossibleError as error:
+                    raise ImpossibleError(error.what, error.remedy, key) from None
         return data
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.passive and not self.independent:
-            raise ImpossibleError(f"a {'dependent' if self.dependent else 'locked'} joint cannot be passive",
+            yield ImpossibleError(f"a {'dependent' if self.dependent else 'locked'} joint cannot be passive",
                                   "remove 'passive', or let the joint move by itself", "passive")
         if self.dependent:
             if self.type == "locked":
-                raise ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
+                yield ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
             stroke = () if self.type == "prismatic" else ("lower", "upper")
             for key in (*stroke, "max_speed", "max_acceleration", "compliance"):
                 if getattr(self, key) is not None:
-                    raise ImpossibleError(f"a dependent joint states '{key}'",
+                    yield ImpossibleError(f"a dependent joint states '{key}'",
                                           "remove it: the joints that it follows have limits", key)
             if self.lower is None and self.upper is None:
-                return self
+                return
         if self.type == "locked":
-            return self
+            return
         if self.lower is None or self.upper is None:
-            raise ImpossibleError("a moving joint needs 'lower' and 'upper'", "state both limits")
-        if self.lower >= self.upper:
+            yield ImpossibleError("a moving joint needs 'lower' and 'upper'", "state both limits")
+        elif self.lower >= self.upper:
             factor, unit = (180 / math.pi, "deg") if self.type == "revolute" else (1.0, "m")
-            raise ImpossibleError(f"the lower limit, {factor * self.lower:.6g} {unit}, is not below the upper one, "
+            yield ImpossibleError(f"the lower limit, {factor * self.lower:.6g} {unit}, is not below the upper one, "
                                   f"{factor * self.upper:.6g} {unit}", "exchange or correct them")
-        return self
 
     @property
     def moving(self) -> bool:

@@ -1,12 +1,13 @@
-"""Loops: pins, balls and rods that close a linkage beside the joints of the tree."""
+"""Loops and couplings, which determine the dependent joints of a tree of links."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Iterator
+from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position
+from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position, Ratio
 
 
 class SharedPin(Noun):
@@ -25,6 +26,7 @@ class Loop(Noun):
     equations. A rigid `rod` with a ball at each end keeps the distance of both: one equation.
     """
 
+    kind: ClassVar = "loop"
     name: Name
     """Name of the loop."""
     link: str
@@ -41,14 +43,49 @@ class Loop(Noun):
     """In which of several ways the loop is assembled: positions of the joints that it follows, and roughly where
     dependent joints stand then."""
 
-    @model_validator(mode="after")
-    def _rod_has_a_length(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if (self.closed_by == "rod") != (self.length is not None):
-            raise ImpossibleError("a rod has a length, a pin or ball has none",
+            yield ImpossibleError("a rod has a length, a pin or ball has none",
                                   "state 'closed_by = \"rod\"' with its 'length', or neither", "length")
-        return self
 
     @property
     def equations(self) -> int:
         """How many joints it determines."""
         return {"pin": 2, "ball": 3, "rod": 1}[self.closed_by]
+
+    @property
+    def place(self) -> str:
+        """Place in the machine file."""
+        return f"loops[{self.name}]"
+
+
+class Coupling(Noun):
+    """position of `joint` = Σ ratio · position of another joint + `offset`: by chains, belts, gears, racks.
+
+    One of its joints is dependent and follows from the others.
+    """
+
+    kind: ClassVar = "coupling"
+    equations: ClassVar = 1
+    name: Name
+    """Name of the coupling."""
+    joint: str
+    """The joint on the left."""
+    ratios: dict[str, Ratio] = Field(min_length=1)
+    """Position of `joint` per position of each other joint: 1 between joints of one kind, m/rad or rad/m between one
+    that slides and one that turns."""
+    offset: Position = 0.0
+    """Position of `joint` where all others are zero."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """All joints that it relates."""
+        return (self.joint, *self.ratios)
+
+    @property
+    def place(self) -> str:
+        """Place in the machine file."""
+        return f"couplings[{self.name}]"
+
+
+Statement = Loop | Coupling

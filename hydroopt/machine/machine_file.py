@@ -11,38 +11,21 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from hydroopt.errors import MachineError
+from hydroopt.errors import MachineError, ProblemError
 from hydroopt.input_file import read_text, toml
-from hydroopt.machine import (
-    base_motion,
-    cylinder_checks,
-    free_links,
-    idle_linkages,
-    linkages,
-    loop_checks,
-    oil_links,
-    other_ways,
-    parameter_sets,
-    prior_checks,
-    targets,
-)
-from hydroopt.machine.actuators import Cylinder, TorqueFriction
+from hydroopt.machine import file_checks, free_links, linkages, oil_links, parameter_sets, range_checks
 from hydroopt.machine.bundled_files import bundled_files
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.file_schema import in_plain_words, validate, without_notes, without_value
-from hydroopt.machine.links import Joint, JointFriction, JointSpring, Note
-from hydroopt.machine.loops import Loop
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.quantity import ImpossibleError, Quantity
-from hydroopt.machine.sensor import Sensor
-from hydroopt.machine.valves import Valve
+from hydroopt.machine.quantity import ImpossibleError, Noun
 from hydroopt.units import UnitError
 
 ROBOT_SUFFIXES = (".urdf", ".xml", ".sdf", ".xacro")
@@ -108,6 +91,33 @@ def _loaded(machine: Machine, source: str) -> Machine:
     return machine
 
 
+GivenMachine = Machine | str | Path
+"""What functions take for a machine, see `machine_of`."""
+
+
+def machine_of(given: object, where: str) -> Machine:
+    """A machine, that of a model, or the one of a name or path, as all public functions take them.
+
+    Args:
+        given: a machine, a model or plant, or what `load_machine` takes.
+        where: the function, for errors.
+
+    Raises:
+        ProblemError: this is something else.
+        MachineError: see `load_machine`.
+
+    >>> machine_of("cat215b", "test").joints
+    ('swing', 'boom', 'stick')
+    """
+    if isinstance(given, str | Path):
+        return load_machine(given)
+    found = given if isinstance(given, Machine) else getattr(given, "machine", None)
+    if not isinstance(found, Machine):
+        raise ProblemError(f"this is {type(given).__name__} {given!r:.40}, not a machine", where=where,
+                           remedy="give a Machine, such as load_machine('cat215b') returns, its name, or its file")
+    return found
+
+
 def read_machine(text: str, *, where: str = "machine", parameter_set: str | None = None) -> Machine:
     """Machine from the text of a machine file; `where` names it in errors.
 
@@ -138,30 +148,28 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     validate(data, where)
     in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
     moved = parameter_sets.expand(data, parameter_set, where) | in_linkages
-    targets.expand(data)
-    moved |= free_links.expand(data) | base_motion.expand(data)
+    _expand_ground(data)
+    moved |= free_links.expand(data) | free_links.expand_base(data)
     try:
         data, notes = without_notes(data)
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
-        idle_linkages.check(machine, [loop.name for loop in machine.loops if f"loops[{loop.name}]" in moved])
-        _check_geometry(machine)
-        prior_checks.check(machine)
+        file_checks.check(machine, [loop.name for loop in machine.loops if loop.place in moved])
+        range_checks.check(machine)
     except ValidationError as error:
         what, place, remedy = in_plain_words(error.errors(), data)
         raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None
-    except UnitError as error:
-        raise MachineError(error.what, where=_at(where, error.where, moved), remedy=error.remedy) from None
-    except ImpossibleError as error:
-        raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
+    except (UnitError, ImpossibleError) as error:
+        place = error.where if isinstance(error, UnitError) else error.key
+        raise MachineError(error.what, where=_at(where, place, moved), remedy=error.remedy) from None
     return machine
 
 
-def _check_geometry(machine: Machine) -> None:
-    try:
-        loop_checks.check(machine)
-        cylinder_checks.check(machine)
-    except ImpossibleError as error:
-        raise ImpossibleError(error.what, other_ways.remedy(machine) or error.remedy, error.key) from None
+def _expand_ground(data: dict[str, Any]) -> None:
+    """Leave out the link of what stands on the ground: of a machine without a link of that name, `ground` rests."""
+    if all(link["name"] != "ground" for link in data["links"]):
+        for part in (*data.get("targets", []), *data.get("instruments", [])):
+            if part.get("link") == "ground":
+                del part["link"]
 
 
 def _default_parents(data: dict[str, Any]) -> None:
@@ -243,7 +251,7 @@ def dump_tables(tables: Mapping[str, Any]) -> str:
     return _VECTOR.sub(on_one_line, tomli_w.dumps(tables))
 
 
-def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
+def _plain(node: Noun, path: str, machine: Machine) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for key, field in type(node).model_fields.items():
         value = getattr(node, key)
@@ -251,50 +259,19 @@ def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
         usual = not field.is_required() and value == field.get_default(call_default_factory=True)
         if key == "notes" or value is None or (usual and at not in machine.notes):
             continue
-        if isinstance(value, BaseModel):
+        if isinstance(value, Noun):
             table[key] = _plain(value, at, machine)
         elif isinstance(value, dict):
             table[key] = {}
             for name, item in value.items():
-                unit = _unit(node, key, machine, name)
+                unit = machine.unit(node, key, name)
                 table[key][name] = _noted(_with_unit(item, unit), machine.notes.get(f"{at}.{name}"), unit)
-        elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+        elif isinstance(value, tuple) and value and isinstance(value[0], Noun):
             table[key] = [_plain(item, getattr(item, "name", f"{at}.{k}"), machine) for k, item in enumerate(value)]
         else:
-            unit = _unit(node, key, machine, path.partition(".")[0])
+            unit = machine.unit(node, key, path.partition(".")[0])
             table[key] = _noted(_with_unit(value, unit), machine.notes.get(at), unit)
     return table
-
-
-def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None:
-    """SI unit of a field: from its annotation, or from the kind of the joint or channel it belongs to.
-
-    `owner` is the name of the part that the field belongs to, or of the joint whose number it is.
-    """
-    if isinstance(node, Coupling) and key in ("ratios", "offset"):
-        return machine.coupling_units(node)["offset" if key == "offset" else f"ratio.{owner}"]
-    if isinstance(node, Loop) and key == "posture":
-        return machine.position_unit(owner)
-    if isinstance(node, JointSpring):
-        return machine.spring_units(owner)[key]
-    if isinstance(node, JointFriction | TorqueFriction):
-        driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
-        return machine.friction_units(driven.get(owner, owner))[key]
-    if isinstance(node, Sensor) and key in ("accuracy", "resolution"):
-        return machine.channel_units[node.channels[0]]
-    if isinstance(node, Joint) and key in ("lower", "upper", "max_speed", "max_acceleration"):
-        base = "m" if node.type == "prismatic" else "rad"
-        return base + {"max_speed": "/s", "max_acceleration": "/s^2"}.get(key, "")
-    if isinstance(node, Valve) and key in ("neutral", "full", "dead_band", "dead_band_reverse"):
-        return node.command
-    field = type(node).model_fields[key]
-    marks = [*field.metadata, *_nested_metadata(field.annotation)]
-    return next((mark.si for mark in marks if isinstance(mark, Quantity)), None)
-
-
-def _nested_metadata(annotation: Any) -> Sequence[Any]:
-    inner = [m for argument in getattr(annotation, "__args__", ()) for m in _nested_metadata(argument)]
-    return [*getattr(annotation, "__metadata__", ()), *inner]
 
 
 def _with_unit(value: Any, unit: str | None) -> Any:

@@ -7,14 +7,14 @@ together, so that no equation of motion contains it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal, Self
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.links import Body, JointFriction
-from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position
+from hydroopt.machine.links import Attachment, JointFriction
+from hydroopt.machine.quantity import ImpossibleError, Length, Name, Noun, Position
 from hydroopt.units import to_si
 
 Line = Literal["head to head", "head to rod", "rod to head", "rod to rod"]
@@ -23,25 +23,14 @@ ALIKE = 0.01
 """Two lines between the same cylinders must displace alike but for this part."""
 
 
-class OilPin(Noun):
-    """An end of a cylinder that shares oil."""
-
-    link: str
-    """The link that it is pinned to, or `base`."""
-    pin: Lengths
-    """Place (3,) of the pin in that link's frame."""
-    body: Body | None = None
-    """What barrel or rod weighs; x of its frame points from barrel pin to rod pin."""
-
-
 class OilCylinder(Noun):
     """A cylinder that shares oil with another one."""
 
     name: Name
     """Name; `NAME_barrel`, `NAME_length` and `NAME_rod` are its links."""
-    barrel: OilPin
+    barrel: Attachment
     """Where its barrel is pinned."""
-    rod: OilPin
+    rod: Attachment
     """Where its rod is pinned."""
     bore: Length
     """Diameter of the piston."""
@@ -56,15 +45,12 @@ class OilCylinder(Noun):
     friction: JointFriction | None = None
     """Friction along it."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if not 0 < self.rod_diameter < self.bore:
-            raise ImpossibleError("the rod is not thinner than the bore", "correct the two", "rod_diameter")
+            yield ImpossibleError("the rod is not thinner than the bore", "correct the two", "rod_diameter")
         if (self.dead_length is None) != (self.stroke is None):
             missing = "stroke" if self.stroke is None else "dead_length"
-            raise ImpossibleError(f"'{missing}' is missing", "state dead_length and stroke, or neither")
-        return self
-
+            yield ImpossibleError(f"'{missing}' is missing", "state dead_length and stroke, or neither")
 
 class OilLink(Noun):
     """A slave cylinder that follows a master, since oil is shut in between chambers of the two; links, loops and a

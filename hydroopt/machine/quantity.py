@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, Any
+from collections.abc import Iterator
+from functools import cache
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from hydroopt.units import UnitError, implausible, plausible, to_si
 
@@ -27,6 +28,16 @@ class Noun(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        for mistake in self._mistakes():
+            raise mistake
+        return self
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        """What no machine can fulfil of what its keys state together; the first mistake is raised."""
+        yield from ()
+
 
 class ImpossibleError(ValueError):
     """A statement that no machine can fulfil; `description` adds the place and raises a MachineError.
@@ -39,23 +50,16 @@ class ImpossibleError(ValueError):
         super().__init__(f"{what}; {remedy}")
 
 
-def refuse_inverted(what: str, lower: Sequence[float], upper: Sequence[float]) -> None:
-    """Refuse corners (3,) [m] of a box that are the wrong way round.
-
-    Raises:
-        ImpossibleError: along some axis.
-    """
-    for axis, low, high in zip("xyz", lower, upper, strict=True):
-        if not low < high:
-            raise ImpossibleError(f"along {axis} the {what}'s lower end, {low:.6g} m, is not below the upper one, "
-                                  f"{high:.6g} m", "exchange or correct them")
-
-
 class Quantity:
     """Marks a field as a physical quantity: its SI unit, and the reading of ``"27.8 deg"``."""
 
     def __init__(self, si: str, *others: str) -> None:
         self.si, self.others = si, others
+
+    @property
+    def sliding(self) -> str:
+        """The unit where it belongs to a joint that slides, not turns."""
+        return self.others[0] if self.others else self.si
 
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """SI value of a string with unit; a bare number passes only where code, not a file, states it."""
@@ -72,7 +76,7 @@ class Quantity:
             raise ImpossibleError(f"{str(value).lower()} is not a number", "write a number with its unit")
         if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
             raise ImpossibleError(f"{value:.9g} has no unit", f"write it as {with_likely_units(value, self.si)}" + (
-                f', or as "{value:.9g} m" if the joint slides' if (self.si, *self.others) == ("rad", "m") else ""))
+                f', or as "{value:.9g} {self.sliding}" if it slides' if self.sliding != self.si else ""))
         if (isinstance(value, int | float) and (info.context or {}).get("from_file") and math.isfinite(value)
                 and not plausible(value, self.si)):
             raise ImpossibleError(implausible(value, self.si), "correct it")
@@ -112,6 +116,11 @@ def longer_than_machines(length: float) -> str:
 class Displacement(Quantity):
     """Marks what a motor displaces per angle, which is also its torque per pressure."""
 
+    @property
+    def sliding(self) -> str:
+        """The same: the second unit is another way to write it."""
+        return self.si
+
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """As of any quantity; a volume alone, which has the dimension of torque per pressure, is refused."""
         found = super().__call__(value, info)
@@ -121,12 +130,17 @@ class Displacement(Quantity):
         return found
 
 
-def keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:
-    """A value whose unit depends on a neighbouring key; errors name its key."""
-    try:
-        return quantity(value, info)
-    except ImpossibleError as error:
-        raise ImpossibleError(error.what, error.remedy, key) from None
+@cache
+def quantity_of(kind: type[BaseModel], key: str) -> Quantity | None:
+    """What marks a field, or the entries of its tuple or table, as a physical quantity; None of any other field."""
+    field = kind.model_fields[key]
+    return next((mark for mark in (*field.metadata, *_marks(field.annotation)) if isinstance(mark, Quantity)), None)
+
+
+def _marks(annotation: Any) -> Iterator[Any]:
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _marks(argument)
+    yield from getattr(annotation, "__metadata__", ())
 
 
 def _quantity(si: str, *others: str) -> tuple[Quantity, BeforeValidator]:
@@ -143,11 +157,11 @@ Volume = Annotated[float, *_quantity("m^3"), _finite]
 Pressure = Annotated[float, *_quantity("Pa"), _finite]
 Force = Annotated[float, *_quantity("N"), _finite]
 Torque = Annotated[float, *_quantity("N*m", "N"), _finite]  # of a joint: a force where the joint slides
+PinTorque = Annotated[float, *_quantity("N*m"), _finite]
 Mass = Annotated[float, *_quantity("kg"), _finite]
 MassMoment = Annotated[float, *_quantity("kg*m"), _finite]
 Inertia = Annotated[float, *_quantity("kg*m^2"), _finite]
 Acceleration = Annotated[float, *_quantity("m/s^2"), _finite]
-LinearViscosity = Annotated[float, *_quantity("N*s/m"), _finite]
 AngularViscosity = Annotated[float, *_quantity("N*m*s/rad", "N*s/m"), _finite]
 LinearStiffness = Annotated[float, *_quantity("N/m"), _finite]
 Stiffness = Annotated[float, *_quantity("N*m/rad", "N/m"), _finite]  # of a joint that turns or slides
@@ -166,6 +180,9 @@ Ratio = Annotated[float, *_quantity("1", "m/rad", "rad/m"), _finite]
 Rate = Annotated[float, *_quantity("Hz"), _finite]
 Duration = Annotated[float, *_quantity("s"), _finite]
 LeakageConductance = Annotated[float, *_quantity("m^3/(s*Pa)"), _finite]
+Command = Annotated[float, *_quantity("1", "V", "A"), _finite]  # of a valve
+Reading = Annotated[float, *_quantity("1", *sorted({unit for units in CHANNEL_UNITS.values() for unit in units})),
+                    _finite]  # of a channel
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$")]
 Lengths = tuple[Length, Length, Length]
 Six = tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia]

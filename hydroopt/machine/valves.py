@@ -8,12 +8,13 @@ stated is not modelled.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal, Self
+from collections.abc import Iterator
+from typing import Literal
 
-from pydantic import Field, StrictBool, ValidationInfo, model_validator
+from pydantic import Field, StrictBool
 
 from hydroopt.machine.quantity import (
+    Command,
     Duration,
     Flow,
     ImpossibleError,
@@ -21,10 +22,8 @@ from hydroopt.machine.quantity import (
     Noun,
     Number,
     Pressure,
-    Quantity,
     Rate,
     Volume,
-    keyed,
 )
 
 EDGES = ("flow_pa", "flow_at", "flow_pb", "flow_bt")
@@ -52,13 +51,13 @@ class Valve(Noun):
 
     command: Literal["1", "V", "A"] = "1"
     """Unit of the command, and of `neutral`, `full` and the dead bands."""
-    neutral: float = Field(0.0, allow_inf_nan=False)
+    neutral: Command = 0.0
     """Command at rest."""
-    full: float = Field(1.0, allow_inf_nan=False)
+    full: Command = 1.0
     """Command at full opening towards P→A and B→T."""
-    dead_band: float = Field(0.0, ge=0, allow_inf_nan=False)
+    dead_band: Command = Field(0.0, ge=0)
     """Change of the command off neutral that does not move the spool."""
-    dead_band_reverse: float | None = Field(None, ge=0, allow_inf_nan=False)
+    dead_band_reverse: Command | None = Field(None, ge=0)
     """The same on the side that retracts; as `dead_band` if not stated."""
     overlap: Number = Field(0.0, gt=-1, lt=1)
     """Travel of the spool, as a part of its full travel, before an edge opens; negative is an underlap."""
@@ -86,39 +85,25 @@ class Valve(Noun):
     delay: Duration = Field(0.0, ge=0, le=10)
     """By what commands arrive later; a number of θ where it is not zero."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _commands(cls, data: Any, info: ValidationInfo) -> Any:
-        # the unit of a command is stated beside it, so that a field's annotation cannot state it
-        if not isinstance(data, Mapping) or data.get("command", "1") not in ("1", "V", "A"):
-            return data
-        data = dict(data)
-        for key in ("neutral", "full", "dead_band", "dead_band_reverse"):
-            if data.get(key) is not None:
-                data[key] = keyed(Quantity(data.get("command", "1")), data[key], info, key)
-        return data
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _mistakes(self) -> Iterator[ImpossibleError]:
         if self.neutral == self.full:
-            raise ImpossibleError("the valve is fully open at its neutral command", "correct one of the two", "full")
+            yield ImpossibleError("the valve is fully open at its neutral command", "correct one of the two", "full")
         for key in ("dead_band", "dead_band_reverse"):
             if (getattr(self, key) or 0.0) >= abs(self.full - self.neutral):
-                raise ImpossibleError(f"the dead band of {getattr(self, key):.6g} {self.command} leaves nothing of the "
+                yield ImpossibleError(f"the dead band of {getattr(self, key):.6g} {self.command} leaves nothing of the "
                                       f"{abs(self.full - self.neutral):.6g} {self.command} between neutral and full",
                                       "correct one of them", key)
         missing = [key for key in EDGES if getattr(self, key) is None]
         if missing and self.rated_flow is None:
-            raise ImpossibleError(f"the flow of {', '.join(missing)} is not stated", "state it, or 'rated_flow'",
+            yield ImpossibleError(f"the flow of {', '.join(missing)} is not stated", "state it, or 'rated_flow'",
                                   missing[0])
         if not missing and self.rated_flow is not None:
-            raise ImpossibleError("every edge states its own flow, so that the rated flow has no effect", "remove it",
+            yield ImpossibleError("every edge states its own flow, so that the rated flow has no effect", "remove it",
                                   "rated_flow")
         if (self.natural_frequency is None) != (self.damping is None):
             absent = "damping" if self.damping is None else "natural_frequency"
-            raise ImpossibleError("the dynamics of the spool are incomplete", f"state '{absent}' as well, or neither",
+            yield ImpossibleError("the dynamics of the spool are incomplete", f"state '{absent}' as well, or neither",
                                   absent)
-        return self
 
     @property
     def span(self) -> float:

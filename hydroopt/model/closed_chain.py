@@ -14,12 +14,11 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.cylinder_motion import centre_line
-from hydroopt.model.pose_rows.frames import Frames
-from hydroopt.model.pose_rows.measurements import inputs, measurements
+from hydroopt.model.pose_rows import Frames, inputs, measurements
 from hydroopt.model.recent import Recent
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.notebook_card import Card, Shown

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from hydroopt.machine.actuators import Pinned
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.springs import Pinned
 from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion, rate
 from hydroopt.spatial.poses import Pose
 

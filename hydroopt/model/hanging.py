@@ -37,7 +37,7 @@ class Hanging:
         for joint in machine.joints:
             if machine.link(joint).joint.passive and (name := f"{joint}.tau_coulomb") in places:
                 psi[places[name]] = 0.0
-        self.balance = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)[rows]
+        self.balance = model.dynamics.forces(ca.DM(psi))[rows]
 
     @cached_property
     def _static(self) -> ca.Function:

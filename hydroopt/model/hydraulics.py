@@ -7,13 +7,15 @@ their equations are rounded over a width with a physical reason, so that every e
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from hydroopt.machine.actuators import Cylinder, Motor
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.valves import Circuit, Oil, Valve
-from hydroopt.model.flow_demand import chamber_flows
+from hydroopt.spatial.inertia import Array
 
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""
@@ -32,6 +34,25 @@ RELIEF_ROUNDING = 0.02
 
 Value = Callable[[str], ca.SX | float]
 """Function from the key of a number in the machine file, such as `dead_band`, to its value or symbol."""
+
+
+def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
+    """Flows [m³/s] that chambers a and b take at a speed [m/s or rad/s]: numbers, arrays or symbols."""
+    a, b = actuator.areas
+    return a * speed, -b * speed
+
+
+def demanded_flow(machine: Machine, speed: Array) -> Array:
+    """Flow (N,) [m³/s] that the actuators demand of the pump at their speeds (N, a) [m/s or rad/s].
+
+    Example:
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> machine = load_machine("cat215b")
+        >>> (6e4 * demanded_flow(machine, np.array([[0.0, 0.1, 0.0]]))).round(1)
+        array([123.1])
+    """
+    hydraulic = [(k, each) for k, each in enumerate(machine.actuators) if isinstance(each, Cylinder | Motor)]
+    return np.asarray(sum(np.maximum(*chamber_flows(each, speed[:, k])) for k, each in hydraulic))
 
 
 def hinge(x: ca.SX, width: ca.SX | float) -> ca.SX:

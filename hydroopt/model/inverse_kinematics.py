@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hydroopt.errors import ProblemError
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.model import Model, model_of
 from hydroopt.spatial.evenly_spread import halton

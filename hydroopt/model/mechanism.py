@@ -1,6 +1,6 @@
 """Motion of all joints of the tree from that of the independent ones: what loops and couplings determine, with rates.
 
-With the angles α₁, α₂ of a dyad's bars (`hydroopt.machine.dyads`) and the rate of the span w between their ends
+With the angles α₁, α₂ of a dyad's bars (`hydroopt.machine.planar_loops`) and the rate of the span w between their ends
 
     ẇ = α̇₁·u₁⊥ + α̇₂·u₂⊥,   ẅ + α̇₁²·u₁ + α̇₂²·u₂ = α̈₁·u₁⊥ + α̈₂·u₂⊥.
 
@@ -15,13 +15,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 
-from hydroopt.machine.assembly import Assembly
-from hydroopt.machine.closures import DyadClosure
-from hydroopt.machine.dyads import Bars, DyadAssembly, angles, bars, dyad
-from hydroopt.machine.equations import closure_equations
+from hydroopt.machine.closures import Closure
+from hydroopt.machine.general_loops import closure_equations
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.linear_closures import LinearAssembly
-from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.mechanism import Assembly, Mechanism
+from hydroopt.machine.planar_loops import Bars, PlanarAssembly, angles, slides
 from hydroopt.model.kinematics import Coordinates, rate
 
 Parts = TypeVar("Parts")
@@ -92,29 +90,15 @@ def _stacked(joints: Mapping[str, tuple[ca.SX, ...]]) -> Coordinates:
 
 def _joint_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) -> JointMotion:
     """Position, rate and acceleration of a closure's dependent joints."""
-    match assembly:
-        case DyadAssembly():
-            return _dyad_motion(geometry, assembly, tree)
-        case LinearAssembly():
-            return _linear_motion(geometry, assembly, tree)
-    return _implicit_motion(geometry, assembly, tree)
-
-
-def _linear_motion(geometry: Geometry, assembly: LinearAssembly, tree: Coordinates) -> JointMotion:
-    (joint,), names = assembly.closure.joints, geometry.machine.tree_joints
-    q, qd, qdd = (dict(zip(names, ca.vertsplit(column), strict=True)) for column in tree)
-    return {joint: (assembly.moved(geometry, q), assembly.moved(geometry, qd, offset=False),
-                    assembly.moved(geometry, qdd, offset=False))}
-
-
-def _implicit_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) -> JointMotion:
+    if isinstance(assembly, PlanarAssembly) and not slides(geometry, assembly.closure):
+        return _dyad_motion(geometry, assembly, tree)
     names, own = geometry.machine.tree_joints, assembly.closure.joints
     q = dict(zip(names, ca.vertsplit(tree.q), strict=True))
     places = [names.index(joint) for joint in own]
     equations = closure_equations(geometry, assembly.closure.statements, q)
     before = Coordinates(*(ca.SX(column) for column in tree))
     before.qd[places] = before.qdd[places] = 0
-    found = [ca.vertcat(*(ca.SX(assembly.solved(geometry, q).positions[joint]) for joint in own))]
+    found = [ca.vertcat(*(ca.SX(assembly.solved(geometry, q)[0][joint]) for joint in own))]
     J = ca.jacobian(equations, tree.q[places])
     speed = rate(equations, tree)
     # with the rates before alone, then with all rates and the accelerations before alone
@@ -127,21 +111,20 @@ def _implicit_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) 
     return {joint: (found[0][k], found[1][k], found[2][k]) for k, joint in enumerate(own)}
 
 
-def _dyad_motion(geometry: Geometry, assembly: DyadAssembly, tree: Coordinates) -> JointMotion:
-    closure, names = assembly.closure, geometry.machine.tree_joints
-    made = dyad(geometry, closure, dict(zip(names, ca.vertsplit(tree.q), strict=True)))
-    found = bars(made, assembly.branch)
+def _dyad_motion(geometry: Geometry, assembly: PlanarAssembly, tree: Coordinates) -> JointMotion:
+    (one, other), names = assembly.closure.joints, geometry.machine.tree_joints
+    made = assembly.dyad(geometry, dict(zip(names, ca.vertsplit(tree.q), strict=True)))
+    found = assembly.bars(made)
     speed = rate(made.span, tree)
     first, second = _turns(found, speed)
     drawn = rate(speed, tree) + first**2 * found.first + second**2 * found.second
     first_rate, second_rate = _turns(found, drawn)
     # the second joint turns against the first bar, or against its seat
     against = (first, first_rate)
-    if not closure.serial:
-        against = _seat_turn(geometry, closure, tree)
+    if made.seat is not None:
+        against = _seat_turn(geometry, assembly.closure, tree)
     q = angles(made, found)
-    return {closure.first: (q[0], first, first_rate),
-            closure.second: (q[1], second - against[0], second_rate - against[1])}
+    return {one: (q[0], first, first_rate), other: (q[1], second - against[0], second_rate - against[1])}
 
 
 def _turns(found: Bars, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -149,13 +132,13 @@ def _turns(found: Bars, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.dot(rates, found.second) / found.across, -ca.dot(rates, found.first) / found.across
 
 
-def _seat_turn(geometry: Geometry, closure: DyadClosure, tree: Coordinates) -> tuple[ca.SX, ca.SX]:
+def _seat_turn(geometry: Geometry, closure: Closure, tree: Coordinates) -> tuple[ca.SX, ca.SX]:
     """Rate and acceleration at which the second joint's seat turns against the first one's."""
     machine = geometry.machine
-    here, there = (machine.link(name).parent for name in (closure.first, closure.second))
+    here, there = (machine.link(name).parent for name in closure.joints)
     total = [ca.SX(0), ca.SX(0)]
     for joint in machine.joints_between(here, there):
-        if machine.link(joint).joint.type == "prismatic":
+        if not machine.turns(joint):
             continue
         sign, k = (1 if joint in machine.ancestry(there) else -1), machine.tree_joints.index(joint)
         total = [total[0] + sign * tree.qd[k], total[1] + sign * tree.qdd[k]]

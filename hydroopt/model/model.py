@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.native import Runner
-from hydroopt.kernels.simplified import simplified
+from hydroopt.kernels.virtual_machine import simplified
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model import lagrange
-from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.recent import Recent
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph
+from hydroopt.model.sensor_readings import imu_readings
 from hydroopt.notebook_card import Card, Drawn
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
@@ -63,7 +63,7 @@ class Model(Drawn):
         self.terms = _fitting(terms, machine)
         self.coordinates = coordinates(machine)
         self.geometry = Geometry(machine)
-        self.dynamics = Dynamics(self.geometry, self.coordinates, self.terms)
+        self.dynamics = Dynamics(self.geometry, self.coordinates, self.terms, actuator_inertia=actuator_inertia)
         self._runner = Runner()
 
     def __repr__(self) -> str:
@@ -108,26 +108,24 @@ class Model(Drawn):
         for link in self.machine.links:
             pose = self.dynamics.links[link.name].pose @ self.geometry.far_end(link.name)
             ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
-        return _dense("forward_kinematics", [self.coordinates.q], list(ends.values()), ["q"], list(ends))
+        return _dense("forward_kinematics", self._q, ends)
 
     @cached_property
     def dependent_positions(self) -> ca.Function:
         """q (n,) → positions (d,) [rad or m] of ``machine.dependent_joints`` and their derivatives by q (d, n)."""
         tree, dependent = self.machine.tree_joints, self.machine.dependent_joints
         position = ca.vertcat(*(self.dynamics.tree.values.q[tree.index(joint)] for joint in dependent))
-        return _dense("dependent_positions", [self.coordinates.q],
-                      [position, ca.jacobian(position, self.coordinates.q)], ["q"], ["position", "by_q"])
+        return _dense("dependent_positions", self._q,
+                      {"position": position, "by_q": ca.jacobian(position, self.coordinates.q)})
 
     @cached_property
     def cylinder_kinematics(self) -> ca.Function:
         """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
         motions = [self.dynamics.cylinders[c.name] for c in self.machine.pinned]
-        length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
-                                       for key in ("length", "speed", "acceleration"))
-        lever_arm = ca.jacobian(length, self.coordinates.q) if motions else ca.SX(0, len(self.machine.joints))
+        found = {key: ca.vertcat(*[getattr(m, key) for m in motions]) for key in ("length", "speed", "acceleration")}
+        lever_arm = ca.jacobian(found["length"], self.coordinates.q) if motions else ca.SX(0, len(self.machine.joints))
         rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.coordinates.q, self.coordinates.qd), lever_arm.shape)
-        return _dense("cylinder_kinematics", [*self.coordinates], [length, speed, acceleration, lever_arm, rate],
-                           ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
+        return _dense("cylinder_kinematics", self._motion, found | {"lever_arm": lever_arm, "lever_arm_rate": rate})
 
     @cached_property
     def imu_readings(self) -> ca.Function:
@@ -135,7 +133,7 @@ class Model(Drawn):
         x, y, z [rad/s], specific forces x, y, z [m/s²], roll and pitch [rad]."""
         found = imu_readings(self.geometry, self.dynamics.links)
         columns = ca.reshape(ca.vertcat(*found.values()), 8, len(self.machine.imus))
-        return _dense("imu_readings", [*self.coordinates], [columns], ["q", "qd", "qdd"], ["readings"])
+        return _dense("imu_readings", self._motion, {"readings": columns})
 
     @cached_property
     def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:
@@ -151,8 +149,8 @@ class Model(Drawn):
             if found is None:
                 continue
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
-            pairs[cylinder.name] = (_dense("triangle_length", [angle], [found.length(angle)], ["angle"], ["length"]),
-                _dense("triangle_angle", [length], [found.angle(length)], ["length"], ["angle"]))
+            pairs[cylinder.name] = (_dense("triangle_length", {"angle": angle}, {"length": found.length(angle)}),
+                                    _dense("triangle_angle", {"length": length}, {"angle": found.angle(length)}))
         return pairs
 
     @property
@@ -193,7 +191,20 @@ class Model(Drawn):
     @cached_property
     def _state(self) -> dict[str, ca.SX]:
         """Inputs of the forces: q, qd, qdd, and pressures if the model `needs_pressure`."""
-        return self.coordinates._asdict() | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
+        return self._motion | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
+
+    @property
+    def _motion(self) -> dict[str, ca.SX]:
+        return self.coordinates._asdict()
+
+    @property
+    def _q(self) -> dict[str, ca.SX]:
+        return {"q": self.coordinates.q}
+
+    @cached_property
+    def _psi(self) -> dict[str, ca.SX]:
+        """The parameters as an input."""
+        return {"psi": ca.SX.sym("psi", len(self.parameters))}
 
     @cached_property
     def regressor(self) -> ca.Function:
@@ -202,18 +213,11 @@ class Model(Drawn):
         `pressure` (a,) [Pa] is an input if the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
         actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
         """
-        K = self._widened(self.dynamics.regressor(actuator_inertia=self.actuator_inertia))
-        return _dense("regressor", [*self._state.values()], [K], [*self._state], ["K"])
+        return _dense("regressor", self._state, {"K": self._widened(self.dynamics.regressor())})
 
     def _widened(self, K: ca.SX) -> ca.SX:
         """K (n, p) with columns for the calibrator's bodies, which the free machine does not carry."""
         return ca.horzcat(K, ca.SX(K.size1(), len(self.parameters) - K.size2()))
-
-    @property
-    def _free_size(self) -> int:
-        """Number of parameters of the free machine, which come first."""
-        return len(self.parameters) - sum(10 for owner in self.bodies if owner not in dynamic_parameters.bodies(
-            self.machine, actuator_inertia=self.actuator_inertia))
 
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
@@ -221,32 +225,28 @@ class Model(Drawn):
         function = self.regressor if self.linear else self.linearised
         pattern = np.zeros(self.regressor.size_out(0), dtype=bool)
         pattern[*map(list, ca.sparsify(function.call(function.sx_in())[0]).sparsity().get_triplet())] = True
-        pattern[:, self._free_size:] = True
+        pattern[:, len(self.dynamics.parameters):] = True
         return pattern
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
         """(q, qd, qdd[, pressure], psi) → measured forces (r,) [N or N·m] (Eq. 4.56)."""
-        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
-        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        return _dense("inverse_dynamics", [*given.values()], [force], [*given], ["force"])
+        return _dense("inverse_dynamics", self._state | self._psi, {"force": self.dynamics.forces(**self._psi)})
 
     @cached_property
     def efforts(self) -> ca.Function:
         """(q, qd, qdd[, pressure], psi) → generalised forces (n,) that a motion demands at the joints, and what each
         actuator (a,) takes for its own friction and offset."""
-        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
-        made = self.dynamics.efforts(given["psi"], actuator_inertia=self.actuator_inertia)
-        return _dense("efforts", [*given.values()], [*made], [*given], ["torque", "own"])
+        torque, own = self.dynamics.efforts(**self._psi)
+        return _dense("efforts", self._state | self._psi, {"torque": torque, "own": own})
 
     @cached_property
     def actuator_forces(self) -> ca.Function:
         """(q, qd, qdd[, pressure], load (n,), psi) → forces (a,) [N or N·m] of all actuators, measured or not, that
         carry a motion and a load at the joints; `shared_load` states how actuators of one joint share it."""
-        given = self._state | {"load": ca.SX.sym("load", len(self.machine.joints)),
-                               "psi": ca.SX.sym("psi", len(self.parameters))}
-        force = self.dynamics.actuator_forces(given["psi"], given["load"], actuator_inertia=self.actuator_inertia)
-        return _dense("actuator_forces", [*given.values()], [force], [*given], ["force"])
+        load = {"load": ca.SX.sym("load", len(self.machine.joints))}
+        return _dense("actuator_forces", self._state | load | self._psi,
+                      {"force": self.dynamics.actuator_forces(**self._psi, **load)})
 
     @cached_property
     def passive_accelerations(self) -> ca.Function:
@@ -254,77 +254,67 @@ class Model(Drawn):
         load acts there; those in `qdd` count as zero."""
         passive = [k for k, balance in enumerate(self.machine.balances) if not balance.actuators]
         joints, qdd = [self.dynamics.kept[k] for k in passive], self.coordinates.qdd
-        given = {**self.coordinates._asdict(), "wrench": ca.SX.sym("wrench", 6),
-                 "load": ca.SX.sym("load", len(self.machine.joints)), "psi": ca.SX.sym("psi", len(self.parameters))}
-        balance = (self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        given = self._motion | {"wrench": ca.SX.sym("wrench", 6),
+                                "load": ca.SX.sym("load", len(self.machine.joints))} | self._psi
+        balance = (self.dynamics.forces(given["psi"])
                    + self.dynamics.wrench_forces(given["wrench"]) + self.dynamics.at_balances(given["load"]))[passive]
         rest = ca.substitute(balance, qdd[joints], ca.DM.zeros(len(joints)))
         found = ca.solve(ca.jacobian(balance, qdd[joints]), -rest) if joints else ca.SX(0, 1)
-        return _dense("passive_accelerations", [*given.values()], [found], [*given], ["accelerations"])
+        return _dense("passive_accelerations", given, {"accelerations": found})
 
     @cached_property
     def linearised(self) -> ca.Function:
         """(q, qd, qdd[, pressure], psi) → K (r, p), the derivative of the forces by ψ there, and the forces (r,)."""
-        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
-        K = self._widened(self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia))
-        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        return _dense("linearised", [*given.values()], [K, force], [*given], ["K", "force"])
+        return _dense("linearised", self._state | self._psi, {
+            "K": self._widened(self.dynamics.regressor(**self._psi)), "force": self.dynamics.forces(**self._psi)})
 
     @cached_property
     def force_by_motion(self) -> ca.Function:
         """(q, qd, qdd[, pressure], psi) → derivatives (r, n) of forces by q, qd, qdd; jumps of dry friction count as
         zero."""
-        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
-        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.coordinates],
-                      [*given], ["by_q", "by_qd", "by_qdd"])
+        force = self.dynamics.forces(**self._psi)
+        return _dense("force_by_motion", self._state | self._psi,
+                      {f"by_{key}": ca.jacobian(force, x) for key, x in self._motion.items()})
 
     @cached_property
     def lagrange_forces(self) -> ca.Function:
         """(q, qd, qdd, psi) → the part of the measured forces due to bodies, from their energies."""
-        psi = ca.SX.sym("psi", len(self.parameters))
         total = ca.SX.zeros(len(self.machine.joints))
-        for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
-            total += lagrange.joint_forces(self.dynamics, owner, psi[self.parameters.bodies[owner]])
-        return _dense("lagrange_forces", [*self.coordinates, psi], [self.dynamics.at_balances(total)],
-                           ["q", "qd", "qdd", "psi"], ["force"])
+        for owner, places in self.dynamics.parameters.bodies.items():
+            total += lagrange.joint_forces(self.dynamics, owner, self._psi["psi"][places])
+        return _dense("lagrange_forces", self._motion | self._psi, {"force": self.dynamics.at_balances(total)})
 
     @cached_property
     def gravity_forces(self) -> ca.Function:
         """(q, psi) → measured forces (r, 3) per unit [m/s²] of gravity along each axis of the base frame."""
-        psi = ca.SX.sym("psi", len(self.parameters))
         moment = ca.SX.zeros(3)
-        for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
-            phi, pose = psi[self.parameters.bodies[owner]], self.dynamics.body_motion(owner).pose
+        for owner, places in self.dynamics.parameters.bodies.items():
+            phi, pose = self._psi["psi"][places], self.dynamics.body_motion(owner).pose
             moment += phi[0] * pose.origin + pose.rotation @ phi[1:4]
         force = self.dynamics.at_balances(-ca.jacobian(moment, self.coordinates.q).T)
-        return _dense("gravity_forces", [self.coordinates.q, psi], [force], ["q", "psi"], ["force"])
+        return _dense("gravity_forces", self._q | self._psi, {"force": force})
 
     @cached_property
     def gravity_regressor(self) -> ca.Function:
         """q → (3·r, p): derivatives of `gravity_forces` by ψ, those along x first, then y and z."""
-        q, psi = self.coordinates.q, ca.SX.sym("psi", len(self.parameters))
-        return _dense("gravity_regressor", [q], [ca.jacobian(ca.vec(self.gravity_forces(q, psi)), psi)], ["q"], ["G"])
+        q, psi = self.coordinates.q, self._psi["psi"]
+        return _dense("gravity_regressor", self._q, {"G": ca.jacobian(ca.vec(self.gravity_forces(q, psi)), psi)})
 
     @cached_property
     def tip_jacobian(self) -> ca.Function:
         """q (n,) → J (6, n): velocity x, y, z [m/s] and rate of rotation x, y, z [rad/s] of the tip, the far end of the
         machine's last link, in the base frame, per speed of each joint."""
-        return _dense("tip_jacobian", [self.coordinates.q], [self.dynamics.tip_jacobian], ["q"], ["J"])
+        return _dense("tip_jacobian", self._q, {"J": self.dynamics.tip_jacobian})
 
     @cached_property
     def mass_matrix(self) -> ca.Function:
         """(q, psi) → M (n, n) at the joints [kg·m², kg·m, kg]: q̇ᵀ·M·q̇/2 is the kinetic energy of bodies and rotors."""
-        psi = ca.SX.sym("psi", len(self.parameters))
-        M = self.dynamics.mass_matrix(psi, actuator_inertia=self.actuator_inertia)
-        return _dense("mass_matrix", [self.coordinates.q, psi], [M], ["q", "psi"], ["M"])
+        return _dense("mass_matrix", self._q | self._psi, {"M": self.dynamics.mass_matrix(**self._psi)})
 
     @cached_property
     def gravity_torques(self) -> ca.Function:
         """(q, psi) → torques (n,) [N·m, N] at the joints that hold all bodies against gravity."""
-        psi = ca.SX.sym("psi", len(self.parameters))
-        torque = self.dynamics.gravity_torques(psi, actuator_inertia=self.actuator_inertia)
-        return _dense("gravity_torques", [self.coordinates.q, psi], [torque], ["q", "psi"], ["torque"])
+        return _dense("gravity_torques", self._q | self._psi, {"torque": self.dynamics.gravity_torques(**self._psi)})
 
     @cached_property
     def wrench_forces(self) -> ca.Function:
@@ -334,8 +324,7 @@ class Model(Drawn):
         the tip [N·m], along the axes of the base frame. By virtual work it adds −Jᵀ·wrench at the joints.
         """
         wrench = ca.SX.sym("wrench", 6)
-        return _dense("wrench_forces", [self.coordinates.q, wrench], [self.dynamics.wrench_forces(wrench)],
-                      ["q", "wrench"], ["force"])
+        return _dense("wrench_forces", self._q | {"wrench": wrench}, {"force": self.dynamics.wrench_forces(wrench)})
 
     @cached_property
     def tip_wrench(self) -> ca.Function:
@@ -347,18 +336,17 @@ class Model(Drawn):
         squares of the joints' torques are least.
         """
         force = ca.SX.sym("force", len(self.machine.balances))
-        given = self._state | {"force": force, "psi": ca.SX.sym("psi", len(self.parameters))}
-        missing = force - self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        found = self.dynamics.tip_wrench(self.dynamics.at_joints(missing))
-        return _dense("tip_wrench", [*given.values()], list(found), [*given], ["wrench", "determined"])
+        missing = force - self.dynamics.forces(**self._psi)
+        wrench, determined = self.dynamics.tip_wrench(self.dynamics.at_joints(missing))
+        return _dense("tip_wrench", self._state | {"force": force} | self._psi,
+                      {"wrench": wrench, "determined": determined})
 
     @cached_property
     def residual(self) -> ca.Function:
         """(q, qd, qdd[, pressure], force, psi) → measured minus predicted forces (r,)."""
-        psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.balances))
-        predicted = self.inverse_dynamics(*self._state.values(), psi)
-        return _dense("residual", [*self._state.values(), force, psi], [force - predicted],
-                           [*self._state, "force", "psi"], ["residual"])
+        force = ca.SX.sym("force", len(self.machine.balances))
+        predicted = self.inverse_dynamics(*self._state.values(), *self._psi.values())
+        return _dense("residual", self._state | {"force": force} | self._psi, {"residual": force - predicted})
 
     @cached_property
     def residual_jacobian(self) -> ca.Function:
@@ -374,12 +362,12 @@ class Model(Drawn):
     def shares(self) -> ca.Function:
         """q → shares (r, a): measured forces of the balances = shares · forces of the actuators; lever arms [m or 1]
         where several actuators are there to move a joint."""
-        return _dense("shares", [self.coordinates.q], [self.dynamics.shares], ["q"], ["shares"])
+        return _dense("shares", self._q, {"shares": self.dynamics.shares})
 
     @cached_property
     def transmission(self) -> ca.Function:
         """q → lever arms (a, n) of all actuators [m, m/rad or 1]: their speeds per speed of each joint."""
-        return _dense("transmission", [self.coordinates.q], [self.dynamics.transmission], ["q"], ["transmission"])
+        return _dense("transmission", self._q, {"transmission": self.dynamics.transmission})
 
     @cached_property
     def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
@@ -392,10 +380,9 @@ class Model(Drawn):
         return self._runner.over(function, *columns, out=out)
 
 
-def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
-           output_names: list[str]) -> ca.Function:
+def _dense(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
     """A function with few operations and dense outputs, so that their layout is the same for every machine."""
-    return simplified(ca.Function(name, inputs, outputs, input_names, output_names))
+    return simplified(ca.Function(name, [*inputs.values()], [*outputs.values()], [*inputs], [*outputs]))
 
 
 def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, ...]:

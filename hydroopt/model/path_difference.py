@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.spatial.inertia import Array
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.integrator import Integrator
-from hydroopt.kernels.one_sample import OneSample
+from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.machine.actuators import Cylinder, Drive
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.contact import Wall
 from hydroopt.model.hydraulics import (
     AMBIENT,

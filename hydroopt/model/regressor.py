@@ -11,6 +11,7 @@ as in the thesis, and otherwise the joint's own equation, from which unmeasured 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 
 import casadi as ca
@@ -20,12 +21,11 @@ from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
-from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
 from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.mechanism import tree_motion
-from hydroopt.model.own_forces import MotionSymbols, own_force
-from hydroopt.parameters.dynamic import bodies, parameter_set
+from hydroopt.model.own_forces import MotionSymbols, friction_terms, own_force
+from hydroopt.parameters.dynamic import parameter_set
 from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
@@ -54,8 +54,10 @@ def _bullet(w: ca.SX) -> ca.SX:
 class Dynamics:
     """All expressions of a machine's dynamics in one set of symbols; `Model` turns them into functions."""
 
-    def __init__(self, geometry: Geometry, coordinates: Coordinates, terms: Sequence[ForceTerm] = ()) -> None:
+    def __init__(self, geometry: Geometry, coordinates: Coordinates, terms: Sequence[ForceTerm] = (), *,
+                 actuator_inertia: bool = True) -> None:
         self.geometry, self.coordinates, self.terms = geometry, coordinates, tuple(terms)
+        self.actuator_inertia = actuator_inertia
         self.machine: Machine = geometry.machine
         self.pressure = ca.SX.sym("pressure", len(self.machine.actuators))
         """Sum of the pressures [Pa] in both chambers of each cylinder, for the friction of seals and own terms."""
@@ -78,8 +80,17 @@ class Dynamics:
                     else self.coordinates.q[self.joint_of(actuator)])
         return MotionSymbols(q, qd, qdd, position, self.rates[k], self.pressure[k])
 
-    def _parameters(self, *, actuator_inertia: bool) -> ParameterSet:
-        return parameter_set(self.machine, actuator_inertia=actuator_inertia, terms=self.terms)
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """The parameters ψ of bodies, with barrels and rods or without, and of efforts."""
+        return parameter_set(self.machine, actuator_inertia=self.actuator_inertia, terms=self.terms)
+
+    def without_actuator_inertia(self) -> Dynamics:
+        """The same expressions for the thesis's reduced model, without barrels and rods."""
+        made = copy(self)
+        made.actuator_inertia = False
+        made.__dict__.pop("parameters", None)
+        return made
 
     def _rate_of(self, actuator: Actuator) -> ca.SX:
         if isinstance(actuator, Cylinder):
@@ -195,32 +206,29 @@ class Dynamics:
         turn = end.pose.rotation
         return ca.jacobian(ca.vertcat(turn @ end.velocity, turn @ end.rotation), self.coordinates.qd)
 
-    def mass_matrix(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
+    def mass_matrix(self, psi: ca.SX) -> ca.SX:
         """M (n, n) of the kinetic energy q̇ᵀ·M·q̇/2 of all bodies and rotors."""
-        parameters = self._parameters(actuator_inertia=actuator_inertia)
         total = ca.SX.zeros(len(self.machine.joints), len(self.machine.joints))
-        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            phi, allowed = psi[parameters.bodies[owner]], self._allowed(owner)
+        for owner, places in self.parameters.bodies.items():
+            phi, allowed = psi[places], self._allowed(owner)
             xx, xy, xz, yy, yz, zz = ca.vertsplit(phi[4:])
             about = ca.blockcat([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             moment = skew(phi[1:4])
             total += allowed.T @ ca.blockcat([[phi[0] * ca.SX.eye(3), -moment], [moment, about]]) @ allowed
         for drive in self.machine.drives:
-            place = parameters.positions.get(f"{drive.name}.rotor_inertia")
+            place = self.parameters.positions.get(f"{drive.name}.rotor_inertia")
             if place is not None:
                 joint = self.joint_of(drive)
                 total[joint, joint] += drive.gear**2 * psi[place]
         return total
 
-    def gravity_torques(self, psi: ca.SX, gravity: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+    def gravity_torques(self, psi: ca.SX, gravity: ca.SX | None = None) -> ca.SX:
         """Generalised forces (n,) that hold all bodies against gravity (3,) in the base frame, the machine file's if it
         is not given."""
-        parameters, acceleration = self._parameters(actuator_inertia=actuator_inertia), gravity
-        if acceleration is None:
-            acceleration = gravity_in_base(self.machine)
+        acceleration = gravity_in_base(self.machine) if gravity is None else gravity
         total = ca.SX.zeros(len(self.machine.joints))
-        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            phi = psi[parameters.bodies[owner]]
+        for owner, places in self.parameters.bodies.items():
+            phi = psi[places]
             up = -self.body_motion(owner).pose.rotation.T @ acceleration
             total += self._allowed(owner).T @ ca.vertcat(phi[0] * up, ca.cross(phi[1:4], up))
         return total
@@ -275,74 +283,80 @@ class Dynamics:
         # where a column depends on those before it, those after it are no numbers
         return ca.vertcat(-found, ca.SX.zeros(6 - rows)), ca.fmax(least, 0.0)
 
-    def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+    def regressor(self, psi: ca.SX | None = None) -> ca.SX:
         """K (r, p): measured forces of the balances = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
 
         Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values,
         where a Stribeck force of zero counts as its typical size: it would hide its speed.
         """
-        parameters = self._parameters(actuator_inertia=actuator_inertia)
         if psi is None:
-            psi = ca.DM(np.where(parameters.nominal == 0, parameters.scale, parameters.nominal))
+            psi = ca.DM(np.where(self.parameters.nominal == 0, self.parameters.scale, self.parameters.nominal))
         columns: dict[str, ca.SX] = {}
-        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
+        for owner in self.parameters.bodies:
             # six columns are fewer than ten
             block = self.at_balances(self._allowed(owner).T) @ body_regressor(self.body_motion(owner))
             columns |= {f"{owner}.{element}": block[:, k] for k, element in enumerate(inertia.NAMES)}
-        columns |= self._effort_columns(parameters, psi)
-        return ca.horzcat(*[columns[name] for name in parameters.names])
+        columns |= self._effort_columns(psi)
+        return ca.horzcat(*[columns[name] for name in self.parameters.names])
 
-    def forces(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
+    def forces(self, psi: ca.SX) -> ca.SX:
         """K·ψ (r,) in fewer operations: each body's wrench is computed before it is projected on the joints."""
-        parameters = self._parameters(actuator_inertia=actuator_inertia)
-        total = self.at_balances(self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia))
+        total = self.at_balances(self._of_bodies(psi))
         for each in self.own_forces:
-            total = total + self.shares[:, each.actuator] * each.at(parameters, psi)[0]
-        return _added(total, parameters, psi, self._effort_columns(parameters, psi))
+            total = total + self.shares[:, each.actuator] * each.at(self.parameters, psi)[0]
+        return self._added(total, psi, self._effort_columns(psi))
 
-    def actuator_forces(self, psi: ca.SX, load: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+    def actuator_forces(self, psi: ca.SX, load: ca.SX | None = None) -> ca.SX:
         """Forces (a,) of all actuators, measured or not, that a motion demands, see `shared_load`.
 
         They carry bodies, friction at joints and pins, gas, and a `load` (n,) of generalised forces; each has its own
         friction and offset besides.
         """
-        total, own = self.efforts(psi, actuator_inertia=actuator_inertia)
+        total, own = self.efforts(psi)
         return shared_load(self.machine, self.transmission, total if load is None else total + load) + own
 
-    def efforts(self, psi: ca.SX, *, actuator_inertia: bool = True) -> tuple[ca.SX, ca.SX]:
+    def efforts(self, psi: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Generalised forces (n,) at the joints that a motion demands of the actuators, and what each (a,) takes for
         its own friction and offset."""
-        parameters = self._parameters(actuator_inertia=actuator_inertia)
-        total = self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia)
-        own = [_added(ca.SX(0), parameters, psi, self._own_friction(k, parameters, psi))
+        total = self._of_bodies(psi)
+        own = [self._added(ca.SX(0), psi, self._own_friction(k, psi))
                for k in range(len(self.machine.actuators))]
         for each in self.own_forces:
-            own[each.actuator] = own[each.actuator] + each.at(parameters, psi)[0]
-        return _added(total, parameters, psi, self._joint_columns()), ca.vertcat(*own)
+            own[each.actuator] = own[each.actuator] + each.at(self.parameters, psi)[0]
+        return self._added(total, psi, self._joint_columns()), ca.vertcat(*own)
 
-    def _of_bodies(self, parameters: ParameterSet, psi: ca.SX, *, actuator_inertia: bool) -> ca.SX:
-        total = ca.SX.zeros(len(self.machine.joints))
-        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            phi = psi[parameters.bodies[owner]]
-            total += self._allowed(owner).T @ (body_regressor(self.body_motion(owner)) @ phi)
+    def _added(self, total: ca.SX, psi: ca.SX, columns: Mapping[str, ca.SX]) -> ca.SX:
+        """A sum and columns times their parameters; a Stribeck speed acts in the column of its force already, and own
+        terms are added as they are."""
+        for name, column in columns.items():
+            place = self.parameters.positions.get(name)
+            if place is not None and self.parameters.kinds[place] not in (
+                    ParameterKind.STRIBECK_SPEED, ParameterKind.COEFFICIENT):
+                total = total + column * psi[place]
         return total
 
-    def _own_friction(self, k: int, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
+    def _of_bodies(self, psi: ca.SX) -> ca.SX:
+        total = ca.SX.zeros(len(self.machine.joints))
+        for owner, places in self.parameters.bodies.items():
+            total += self._allowed(owner).T @ (body_regressor(self.body_motion(owner)) @ psi[places])
+        return total
+
+    def _own_friction(self, k: int, psi: ca.SX) -> dict[str, ca.SX]:
         """Terms of an actuator's own force, by parameter."""
         return friction_terms(self.machine.actuators[k], self.rates[k], self.pressure[k],
-                              lambda name: psi[parameters.index(name)])
+                              lambda name: psi[self.parameters.index(name)])
 
-    def _effort_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
+    def _effort_columns(self, psi: ca.SX) -> dict[str, ca.SX]:
         """Columns (r,) of everything but bodies."""
         columns = {name: self.at_balances(column) for name, column in self._at_joints().items()}
         for k, actuator in enumerate(self.machine.actuators):
             share = self.shares[:, k]
             columns |= {name: share * term if share.nnz() else share
-                        for name, term in self._own_friction(k, parameters, psi).items()}
+                        for name, term in self._own_friction(k, psi).items()}
             columns |= {name: self.at_balances(column) for name, column in self._of_actuator(actuator).items()}
         for each in self.own_forces:
             share = self.shares[:, each.actuator]
-            columns |= {name: share * slope for name, slope in each.at(parameters, psi)[1].items()}
+            columns |= {name: share * slope for name, slope in each.at(self.parameters, psi)[1].items()}
         return columns | {name: self.at_balances(column) for name, column in self._passive_columns().items()}
 
     def _joint_columns(self) -> dict[str, ca.SX]:
@@ -402,16 +416,6 @@ def _along(J: ca.SX, torque: ca.SX, rank: int) -> tuple[ca.SX, ca.SX]:
         return right / trace, ca.SX(1)
     area = sum((gram[i, i] * gram[k, k] - gram[i, k]**2 for i, k in ((0, 1), (1, 2), (2, 0))), ca.SX(0))
     return (trace * right - gram @ right) / area, ca.fmax(4 * area / trace**2, 0.0)
-
-
-def _added(total: ca.SX, parameters: ParameterSet, psi: ca.SX, columns: Mapping[str, ca.SX]) -> ca.SX:
-    """A sum and columns times their parameters; a Stribeck speed acts in the column of its force already, and own terms
-    are added as they are."""
-    for name, column in columns.items():
-        if name in parameters.positions and parameters.kind(name) not in (
-                ParameterKind.STRIBECK_SPEED, ParameterKind.COEFFICIENT):
-            total = total + column * psi[parameters.positions[name]]
-    return total
 
 
 def gas_force(gas: GasCylinder, length: ca.SX) -> ca.SX:

@@ -11,11 +11,10 @@ import numpy as np
 
 from hydroopt.kernels.c_writer import Naming, statements
 from hydroopt.kernels.expression_graph import program
-from hydroopt.machine.actuators import Cylinder, GasCylinder
+from hydroopt.machine.actuators import Cylinder, GasCylinder, Pinned
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
-from hydroopt.machine.springs import Pinned
 from hydroopt.spatial import inertia
 from hydroopt.spatial.convex_hull import corners
 from hydroopt.spatial.evenly_spread import halton

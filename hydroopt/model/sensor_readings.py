@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -12,11 +12,11 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
-from hydroopt.model.imu_readings import imu_readings
-from hydroopt.model.kinematics import coordinates
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE, INCLINATION
+from hydroopt.model.kinematics import UP, Motion, coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import roll_pitch_yaw
+from hydroopt.spatial.poses import Pose, roll_pitch_yaw
 
 
 class SensorReadings:
@@ -56,17 +56,11 @@ class SensorReadings:
         made = ca.Function("sensor_readings", [*own, g], [ca.densify(out) for out in outputs],
                            ["q", "qd", "qdd", "g"], ["readings", "by_q", "by_qd", "by_qdd", "by_g"])
         self.function = program(made).function()
-        self._values = program(ca.Function("sensor_values", [*own, g], [ca.densify(values)])).function()
 
     def __call__(self, q: Array, qd: Array, qdd: Array, g: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Readings (N, m), and their derivatives by q, qd, qdd (N, m, n) and g (N, m, p), at N states."""
         values, *by = self._runner.over(self.function, q, qd, qdd, np.broadcast_to(g, (len(q), len(g))))
         return values[:, :, 0], by[0], by[1], by[2], by[3]
-
-
-    def values(self, q: Array, qd: Array, qdd: Array, g: Array) -> Array:
-        """Readings (N, m) alone."""
-        return self._runner.over(self._values, q, qd, qdd, np.broadcast_to(g, (len(q), len(g))))[0][:, :, 0]
 
 
 def stated_sigma(machine: Machine, number: Number) -> float | None:
@@ -91,4 +85,24 @@ def _readings(dynamics: Dynamics) -> dict[str, ca.SX]:
         turn = roll_pitch_yaw(geometry.turn("tracker"))
         tip = turn.T @ (end.point(geometry.point("tip")) - geometry.point("tracker"))
         found |= {f"tip.{axis}": tip[k] for k, axis in enumerate("xyz")}
+    return found
+
+
+def imu_readings(geometry: Geometry, links: Mapping[str, Motion]) -> dict[str, ca.SX]:
+    """Readings without bias [rad/s, m/s², rad] by channel, of links that move as `links` states.
+
+    A unit at r on a link that turns with ω, whose frame accelerates with a = p̈ − g, reads ω and
+    a + ω̇ × r + ω × (ω × r), both turned into its own axes. Its inclination is roll and pitch of these axes in a world
+    whose z axis points up.
+    """
+    machine = geometry.machine
+    up = roll_pitch_yaw(machine.orientation).T @ UP
+    found: dict[str, ca.SX] = {}
+    for imu in machine.imus:
+        mounted = links[imu.link].fixed(Pose(roll_pitch_yaw(geometry.turn(imu.name)), geometry.point(imu.name)))
+        x, y, z = ca.vertsplit(mounted.pose.rotation.T @ up)
+        inclination = ca.vertcat(ca.atan2(y, z), ca.atan2(-x, ca.sqrt(y**2 + z**2)))
+        for axes, values in ((GYROSCOPE, mounted.rotation), (ACCELEROMETER, mounted.acceleration),
+                             (INCLINATION, inclination)):
+            found |= {f"{imu.name}.{axis}": values[k] for k, axis in enumerate(axes)}
     return found

@@ -7,9 +7,10 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.addresses import Number, gas_numbers, spring_numbers
+from hydroopt.machine.addresses import Number
 from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
@@ -24,6 +25,10 @@ LEAST = 1e-6
 """What is positive by nature is at least this part of its typical size, whatever lower bound the file states."""
 DEFAULT_CONFIDENCE = 1.0
 """Prior σ of a body's numbers when the file states none, as a part of their size."""
+
+
+Block = tuple[Array, Array, Array, Array, Array]
+"""Nominal values, bounds, sizes (k,) and information (k, k) of parameters that stand together."""
 
 
 class Owned(NamedTuple):
@@ -105,13 +110,8 @@ def owners_with_confidence(machine: Machine, found: Mapping[str, Owned]) -> froz
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     """The pressures of gas-charged cylinders, stiffness and preload of springs."""
-    found = [*chain.from_iterable(map(gas_numbers, machine.gas_cylinders)),
-             *chain.from_iterable(map(spring_numbers, machine.springs))]
-    return {number.name: _passive(number) for number in found}
-
-
-def _passive(number: Number) -> Scalar:
-    return Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
+    return {number.name: Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
+            for number in machine.passive_numbers}
 
 
 def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False,
@@ -125,57 +125,42 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator
         terms: force terms of the user's own, whose coefficients come before those.
     """
     found = bodies(machine, actuator_inertia=actuator_inertia, calibrator=calibrator)
-    names: list[str] = []
-    kinds: list[ParameterKind] = []
-    units: list[str] = []
-    blocks: list[tuple[Array, Array, Array, Array, Array]] = []  # nominal, lower, upper, size, information
+    rows: list[tuple[Sequence[str], Sequence[ParameterKind], Sequence[str], Block]] = []
 
     def add_body(owner: str) -> None:
-        names.extend(f"{owner}.{element}" for element in inertia.NAMES)
-        kinds.extend(INERTIAL_KINDS)
-        units.extend(inertia.UNITS)
-        blocks.append(_body_block(found[owner], machine.notes))
+        if owner in found:
+            rows.append(([f"{owner}.{element}" for element in inertia.NAMES], INERTIAL_KINDS, inertia.UNITS,
+                         _body_block(found[owner], machine.notes)))
 
-    drivers = machine.drivers
+    def add_scalars(stated: Mapping[str, Scalar]) -> None:
+        rows.extend(([name], [each.number.kind], [each.number.unit], scalar_block(each, machine.notes))
+                    for name, each in stated.items())
+
     for link in machine.links:
-        ends = [f"{driver.name}.{end}" for driver in drivers.get(link.name, ()) for end in ("rod", "barrel")]
+        ends = [f"{driver.name}.{end}" for driver in machine.drivers.get(link.name, ()) for end in ("rod", "barrel")]
         for owner in (link.name, *ends):
-            if owner in found:
-                add_body(owner)
+            add_body(owner)
         if link.joint.moving:
-            for name, scalar in scalars(machine, link.name).items():
-                names.append(name)
-                kinds.append(scalar.number.kind)
-                units.append(scalar.number.unit)
-                blocks.append(scalar_block(scalar, machine.notes))
-    for name, scalar in passive_scalars(machine).items():
-        names.append(name)
-        kinds.append(scalar.number.kind)
-        units.append(scalar.number.unit)
-        blocks.append(scalar_block(scalar, machine.notes))
+            add_scalars(scalars(machine, link.name))
+    add_scalars(passive_scalars(machine))
     for address, each in chain.from_iterable(term.addresses.items() for term in terms):
-        names.append(address)
-        kinds.append(ParameterKind.COEFFICIENT)
-        units.append(each.unit)
-        blocks.append((*np.array([[each.nominal], [each.lower], [each.upper], [abs(each.nominal) or 1.0]]),
-                       np.array([[0.0 if each.sigma is None else 1 / each.sigma**2]])))
+        numbers = np.array([[each.nominal], [each.lower], [each.upper], [abs(each.nominal) or 1.0]])
+        rows.append(([address], [ParameterKind.COEFFICIENT], [each.unit],
+                     (*numbers, np.array([[0.0 if each.sigma is None else 1 / each.sigma**2]]))))
     for link in machine.calibrator.links if machine.calibrator else ():
-        if link.name in found:
-            add_body(link.name)
+        add_body(link.name)
+    names, kinds, units = (chain.from_iterable(row[0] for row in rows), chain.from_iterable(row[1] for row in rows),
+                           chain.from_iterable(row[2] for row in rows))
+    blocks = [row[3] for row in rows]
     nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
-    information = np.zeros((len(names), len(names)))
-    start = 0
-    for block in blocks:
-        stop = start + len(block[0])
-        information[start:stop, start:stop] = block[4]
-        start = stop
+    information = block_diag(np.zeros((0, 0)), *(block[4] for block in blocks))
     known = np.diag(information) > 0
     sigma = np.sqrt(np.diag(np.linalg.inv(information + np.diag(~known * 1.0))))
     scale = np.where(known, sigma, np.maximum(np.abs(nominal), size))
     return ParameterSet(tuple(names), tuple(kinds), tuple(units), nominal, lower, upper, scale, information)
 
 
-def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+def _body_block(owned: Owned, notes: dict[str, Note]) -> Block:
     phi = owned.body.phi
     lower: Array = np.full(10, -np.inf)
     upper: Array = np.full(10, np.inf)
@@ -224,7 +209,7 @@ def _sigma(note: Note | None, value: Array, size: float) -> float:
     return note.sigma * largest if note.relative else note.sigma
 
 
-def scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+def scalar_block(scalar: Scalar, notes: dict[str, Note]) -> Block:
     """Nominal value, bounds, size and information, (1,) and (1, 1), of a parameter and what is noted of it."""
     note = notes.get(scalar.number.path, Note())
     low = scalar.lower if note.lower is None else note.lower

@@ -31,7 +31,7 @@ class Plots:
         self._shown = shown
 
     def __repr__(self) -> str:
-        return f"Plots of {self._shown!r}: forces(), residuals(), parameters(), machine(), loops()"
+        return f"Plots of {self._shown!r}: forces(), residuals(), parameters(), machine()"
 
     def forces(self) -> Figure:
         """Measured and predicted forces over time, of an identification.
@@ -41,7 +41,7 @@ class Plots:
         """
         from hydroopt.plots.figures import forces  # noqa: PLC0415 (matplotlib takes long to load)
 
-        return _notebook(forces(self._estimate("forces")), "forces")
+        return _notebook(forces(self._estimate("forces")))
 
     def residuals(self) -> Figure:
         """Residuals of the forces over time and velocity, of an identification.
@@ -51,7 +51,7 @@ class Plots:
         """
         from hydroopt.plots.figures import residuals  # noqa: PLC0415
 
-        return _notebook(residuals(self._estimate("residuals")), "residuals")
+        return _notebook(residuals(self._estimate("residuals")))
 
     def parameters(self) -> Figure:
         """Changes of the parameters from the machine file to the answer, with their intervals.
@@ -59,13 +59,13 @@ class Plots:
         Raises:
             ProblemError: this has no parameters that differ from those of a machine file.
         """
-        from hydroopt.plots.figures import changes, changes_of  # noqa: PLC0415
+        from hydroopt.plots.figures import changes  # noqa: PLC0415
         from hydroopt.results.answer import Answer  # noqa: PLC0415
 
-        figure = changes(changes_of(self._shown.parameters)) if isinstance(self._shown, Answer) else None
+        figure = changes(self._shown.parameters) if isinstance(self._shown, Answer) else None
         if figure is None:
             raise self._refusal("parameters")
-        return _notebook(figure, "parameters")
+        return _notebook(figure)
 
     def machine(self) -> Figure:
         """The machine from the side: at the mean and the extremes of the training motion, or of its ranges.
@@ -74,7 +74,7 @@ class Plots:
             ProblemError: this is not about one machine.
         """
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
-        from hydroopt.machine.given_machine import machine_of  # noqa: PLC0415
+        from hydroopt.machine.machine_file import machine_of  # noqa: PLC0415
         from hydroopt.model.model import Model  # noqa: PLC0415
         from hydroopt.model.vertical_plane import limit_postures, range_postures  # noqa: PLC0415
         from hydroopt.plots.side_view import side_view  # noqa: PLC0415
@@ -87,36 +87,7 @@ class Plots:
         else:
             model = Model(machine_of(self._shown, "plot.machine"))
             drawn = side_view(model, limit_postures(model), "middle of all ranges", "limits of each joint")
-        return _notebook(drawn, "machine")
-
-    def loops(self) -> Figure:
-        """Bode and Nyquist curves, step responses, poles and zeros of controllers, of a comparison of controllers.
-
-        Raises:
-            ProblemError: this is no such comparison.
-
-        Example:
-            >>> import hydroopt as ho
-            >>> from hydroopt.control.comparison import compare
-            >>> from hydroopt.control.model_variants import ModelVariant, truth
-            >>> from hydroopt.control.setting import Setting
-            >>> plant = ho.Plant("patu655_lift")
-            >>> motion = ho.random_trajectory(plant.model, duration=14, rate=20, seed=1, slowest=0.05, fastest=0.15)
-            >>> known = plant.parameters.nominal
-            >>> true = truth("nominal", plant, seed=0)
-            >>> setting = Setting(plant, motion, true.variant, true.theta, known, rate=50)
-            >>> complete = ModelVariant("complete", "the machine file", plant.model, true.variant.psi)
-            >>> comparison = compare(setting, [complete], ["feedforward"])
-            >>> len(comparison.plot.loops().axes)
-            5
-        """
-        from hydroopt.control.comparison import Comparison  # noqa: PLC0415
-        from hydroopt.plots.loops import loops  # noqa: PLC0415
-
-        if not isinstance(self._shown, Comparison):
-            raise self._refusal("loops", "draw those of hydroopt.control.comparison.compare, or see the page of "
-                                         "'hydroopt control'")
-        return _notebook(loops(self._shown), "loops")
+        return _notebook(drawn)
 
     def _estimate(self, what: str) -> Estimate:
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
@@ -125,16 +96,16 @@ class Plots:
             raise self._refusal(what)
         return self._shown
 
-    def _refusal(self, what: str,
-                 remedy: str = "draw what hydroopt.solve returned, or see the page of hydroopt.view") -> ProblemError:
+    def _refusal(self, what: str) -> ProblemError:
         name = type(self._shown).__name__
         article = "an" if name[0] in "AEIOU" else "a"
-        return ProblemError(f"{article} {name} has no {what} to draw", where=f"plot.{what}", remedy=remedy)
+        return ProblemError(f"{article} {name} has no {what} to draw", where=f"plot.{what}",
+                            remedy="draw what hydroopt.solve returned, or see the page of hydroopt.view")
 
 
-def _notebook(figure: Figure, name: str) -> Figure:
+def _notebook(figure: Figure) -> Figure:
     """The figure with what notebooks ask for, in the look of the pages."""
     from hydroopt.plots.figures import svg  # noqa: PLC0415
 
-    setattr(figure, "_repr_svg_", partial(svg, figure, name))  # noqa: B010 (matplotlib's type does not know it)
+    setattr(figure, "_repr_svg_", partial(svg, figure))  # noqa: B010 (matplotlib's type does not know it)
     return figure

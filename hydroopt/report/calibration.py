@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections import Counter
+from collections.abc import Sequence
+from html import escape
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
+from hydroopt.errors import visible
 from hydroopt.report.charts import Chart, Curves, Field, Line, TimeChart
-from hydroopt.report.correlation_map import correlation_map
-from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
+from hydroopt.report.drawing import LETTER
+from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import NUMBERS, with_unit
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView, base_point
+from hydroopt.report.tables import by_owner
+from hydroopt.results.diagnostic import listed
 from hydroopt.results.status import Status
+from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.calibration import Calibration
@@ -27,9 +35,6 @@ METHODS = {
 }
 """Methods in words."""
 
-PRINTED: dict[str, tuple[str, float]] = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
-"""Units that a reader prefers, and what SI is multiplied by."""
-
 LOOKS = {("nominal", "machine"): "measured", ("nominal", "calibrator"): "fifth",
          ("calibrated", "machine"): "predicted", ("calibrated", "calibrator"): "other"}
 """Looks of both sides of the chain by geometry and side."""
@@ -39,39 +44,31 @@ FIXTURES = 12
 """Fixtures that the machine in space shows."""
 FLAT = 1e-6
 """Width of a view, relative to its length, from which on it is drawn."""
-
-
-class Parameter(NamedTuple):
-    """One line of the parameter table."""
-
-    name: str
-    unit: str
-    numbers: Row
-    identifiability: str
-    partner: str
-    alone: bool
-    strong: bool
-    figure: Markup
+CELL, LEAST_CELL, LEAST_WRITTEN, SIDE = 30.0, 15.0, 24.0, 720.0
+"""Largest and smallest side of a cell, that from which on its number is written, and that of the whole map from which
+on cells shrink [px]."""
+FAINT, WRITTEN = 0.02, 0.3
+"""Magnitudes from which on a cell is coloured, and its number written."""
+NAMED = 3
+"""Pairs that the description names."""
 
 
 def render(c: Calibration) -> str:
     """The report as one HTML page that needs nothing else."""
     problem, identified = c.problem, c.observability
-    groups = _groups(c)
-    every = [p for _, rows in groups for p in rows]
     return document(
         "calibration.html", samples=_samples(c), charts={
             "residuals": _residuals(c), "sides": _sides(c), "workspace": _workspace(c)},
-        scene=_scene(c), verdict=c.verdict, machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
+        scene=_scene(c), answer=c, machine=problem.model.machine, calibration=c,
         suspect=c.status is not Status.OK,
-        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, correlations=_correlations(c),
-        counts={kind: sum(p.identifiability == kind for p in every)
-                for kind in ("full", "combination", "none", "fixed")},
+        method=METHODS.get(c.method, ""), fit=_fit(c), groups=list(by_owner(c.parameters, NUMBERS).items()),
+        partners=_partners(c), correlations=_correlations(c),
+        counts=Counter(each.identifiability for each in c.parameters.rows),
         tables=_tables(c), stages=len(set(problem.poses.stage)),
         suspects=[s.diagnostic.text for s in c.suspects], left_out=[s.diagnostic.text for s in c.left_out],
         condition=plain(identified.condition_number, 3), amplification=plain(identified.noise_amplification_index, 3),
         scale=plain(c.noise_scale, 3), accuracy=_accuracy(c),
-        fixed=[f"{name} = {_printed(value, problem.parameters.units[problem.parameters.index(name)])}"
+        fixed=[f"{name} = {with_unit(value, problem.parameters.units[problem.parameters.index(name)], digits=6)}"
                for name, value in problem.fixed.items()])
 
 
@@ -100,33 +97,11 @@ def _cells(fit: Fit | None) -> tuple[str, str, str]:
             plain(100 * fit.relative, 3))
 
 
-def _groups(c: Calibration) -> list[tuple[str, list[Parameter]]]:
-    """Parameters by the part they belong to; those the poses add come last."""
-    return [(owner, [_parameter(c, k) for k in rows]) for owner, rows in _owners(c).items()]
-
-
-def _owners(c: Calibration) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
-    for k, name in enumerate(c.problem.parameters.names):
-        found.setdefault(name.rpartition(".")[0], []).append(k)
-    return found
-
-
-def _parameter(c: Calibration, k: int) -> Parameter:
-    parameters = c.problem.parameters
-    name = parameters.names[k]
-    unit, factor = PRINTED.get(parameters.units[k], (unit_text(parameters.units[k]), 1.0))
-    partner, strong = "", False
-    if name in c.correlations:
-        other, r = c.correlations[name]
-        partner = f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else ""
-        strong = (min(name, other), max(name, other)) in c.correlated_pairs
-    low, high = (factor * float(v) for v in c.ci95[k])
-    std = float(c.std[k])
-    numbers = quantity(factor * float(c.theta[k]) if c.determined[k] else np.nan, factor * std, (low, high),
-                       factor * float(parameters.nominal[k]))
-    return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong,
-                     interval(c.parameters[name]))
+def _partners(c: Calibration) -> dict[str, tuple[str, bool]]:
+    """By parameter the one that it is most correlated with, and whether the poses hardly separate them."""
+    return {name: (f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else "",
+                   (min(name, other), max(name, other)) in c.correlated_pairs)
+            for name, (other, r) in c.correlations.items()}
 
 
 def _tables(c: Calibration) -> list[dict[str, Any]]:
@@ -144,11 +119,6 @@ def _accuracy(c: Calibration) -> dict[str, str]:
     """Standard deviations over the workspace [mm]; empty where there are none."""
     found = {"median": c.workspace.median_std, "largest": c.workspace.largest_std}
     return {name: plain(1e3 * std, 3) for name, std in found.items()} if np.isfinite(found["median"]) else {}
-
-
-def _printed(value: float, unit: str) -> str:
-    shown, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
-    return f"{plain(factor * value, 6)} {shown}"
 
 
 # --- poses ---
@@ -239,3 +209,46 @@ def _correlations(c: Calibration) -> Markup:
     covariance = c.observability.covariance[np.ix_(which, which)]
     std = np.sqrt(np.diag(covariance))
     return correlation_map([c.observability.names[k] for k in which], covariance / np.outer(std, std))
+
+
+def correlation_map(names: Sequence[str], correlation: Array) -> Markup:
+    """An ``<svg>`` element of the correlations (n, n) below the diagonal; one colour a sign, fainter near zero.
+
+    >>> import numpy as np
+    >>> shown = correlation_map(["boom.a", "ball.x"], np.array([[1.0, -0.9], [-0.9, 1.0]]))
+    >>> "Correlations of 2 parameters. Most correlated: boom.a and ball.x by −.90." in shown
+    True
+    """
+    size, shown = len(names), [escape(visible(name)) for name in names]
+    cell = max(LEAST_CELL, min(CELL, SIDE / size))
+    margin = LETTER * max(map(len, names)) + 12
+    words = []
+    for j, i in combinations(range(size), 2):
+        r, x, y = float(correlation[i, j]), margin + j * cell, i * cell
+        if abs(r) > FAINT:
+            words.append(f'<rect class="{"more" if r > 0 else "less"}" x="{x:.1f}" y="{y:.1f}" width="{cell - 1:.1f}" '
+                         f'height="{cell - 1:.1f}" fill-opacity="{min(abs(r), 1.0):.2f}">'
+                         f"<title>{shown[i]}, {shown[j]}: {_written(r)}</title></rect>")
+        if abs(r) > WRITTEN and cell > LEAST_WRITTEN:
+            words.append(f'<text x="{x + cell / 2:.1f}" y="{y + cell / 2 + 3:.1f}" text-anchor="middle">'
+                         f"{_written(r)}</text>")
+    for k, name in enumerate(shown):
+        at = (k + 0.5) * cell + 4
+        words.append(f'<text x="{margin - 6:.0f}" y="{at:.1f}" text-anchor="end">{name}</text>')
+        words.append(f'<text transform="translate({margin + at:.1f} {size * cell + 6:.0f}) rotate(-90)" '
+                     f'text-anchor="end">{name}</text>')
+    side = margin + size * cell + LETTER
+    return Markup(f'<svg class="correlations" viewBox="0 0 {side:.0f} {side:.0f}" width="{side:.0f}" role="img" '
+                  f'aria-label="{escape(_description(names, correlation))}">{"".join(words)}</svg>')
+
+
+def _description(names: Sequence[str], correlation: Array) -> str:
+    """The map in words: the pairs that are separated worst."""
+    pairs = sorted(combinations(range(len(names)), 2), key=lambda pair: -abs(correlation[pair]))
+    worst = [f"{visible(names[i])} and {visible(names[j])} by {_written(float(correlation[i, j]))}"
+             for i, j in pairs[:NAMED]]
+    return f"Correlations of {len(names)} parameters. Most correlated: {listed(worst)}."
+
+
+def _written(r: float) -> str:
+    return f"{r:+.2f}".replace("-", "−").replace("+0.", "+.").replace("−0.", "−.")

@@ -12,7 +12,7 @@ from hydroopt.report import pose_plan
 from hydroopt.report.numbers import NONE, plain
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
+    from hydroopt.excitation.selection.calibrator_design import CalibratorDesign
 
 PANEL, TALL = 250.0, 250.0
 """Width and height of the place of one part [px]."""

@@ -1,34 +1,24 @@
-"""The figures of a page: what each shows, in words too, and the lines that remain where no script runs."""
+"""The figures of a page: what each shows, in words too."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from markupsafe import Markup
 
 from hydroopt.report.numbers import plain
 from hydroopt.report.samples import Samples, packed
 from hydroopt.spatial.inertia import Array
 
 NOTHING = np.zeros(0)
-COLOURS = {"measured": "#8a96a3", "predicted": "#0072b2", "other": "#d55e00", "third": "#009e73", "fourth": "#cc79a7",
-           "fifth": "#e69f00", "sixth": "#56b4e9"}
-"""Okabe and Ito's palette, which colour-blind readers can tell apart, by the look of a line."""
 LOOKS = ("predicted", "other", "third", "fourth", "fifth", "sixth")
-"""Looks of lines of equal rank, in order."""
-STATIC_POINTS = 500
-WIDE, TALL = 1000, 190
-LEFT, ABOVE, BELOW = 62, 8, 24
-"""Points of a line, and measures of a figure, where no script runs."""
+"""Looks of lines of equal rank, in order; ``measured`` is one more. Their colours are those of the page's style."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A column drawn over the clock: `look` is one of `COLOURS`; `dashed` lines are limits or other models."""
+    """A column drawn over the clock: `look` is one of `LOOKS` or ``measured``; `dashed` are limits or other models."""
 
     column: str
     label: str
@@ -177,55 +167,6 @@ def described(chart: TimeChart | Curves, samples: Samples) -> str:
             for label, values in lines if np.any(np.isfinite(values))]
     ends = f"{plain(float(at[0]), 3)} to {plain(float(at[-1]), 3)}" if len(at) else "nothing"
     return f"{chart.title}, {over} from {ends}: {'; '.join(spans) or 'no values'}."
-
-
-def static(chart: TimeChart | Curves, samples: Samples) -> Markup:
-    """The chart as an ``<svg>`` element of lines and the ends of both axes."""
-    if isinstance(chart, Curves):
-        x, lines = chart.x, [(values, look, False) for _, look, values in chart.lines]
-    else:
-        x = samples.at
-        lines = [(samples.columns[line.column], line.look, line.dashed) for line in chart.lines]
-    stride = max(1, len(x) // STATIC_POINTS)
-    flat, upright = chart.logarithmic if isinstance(chart, Curves) else (False, chart.logarithmic)
-    x = np.log10(x) if flat else x
-    shown = [(np.log10(np.where(values > 0, values, np.nan))[::stride] if upright else values[::stride], look, dashed)
-             for values, look, dashed in lines]
-    low, high = _reach([values for values, _, _ in shown], None if isinstance(chart, Curves) else chart.span)
-    first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
-    across = LEFT + (WIDE - LEFT - 4) * (x[::stride] - first) / ((last - first) or 1.0)
-    parts = [f'<rect x="{LEFT}" y="{ABOVE}" width="{WIDE - LEFT - 4}" height="{TALL - ABOVE - BELOW}" fill="none" '
-             'stroke="#8a96a3" stroke-width=".7"/>']
-    for values, look, dashed in shown:
-        up = ABOVE + (TALL - ABOVE - BELOW) * (high - np.clip(values, low, high)) / (high - low)
-        parts.append(f'<path d="{_path(across, up)}" fill="none" stroke="{COLOURS[look]}" stroke-width="1.2"'
-                     f'{" stroke-dasharray=" + chr(34) + "5 3" + chr(34) if dashed else ""}/>')
-    ends = (10**low, 10**high) if upright else (low, high)
-    for value, y in ((ends[1], ABOVE + 11), (ends[0], TALL - BELOW)):
-        parts.append(f'<text x="{LEFT - 6}" y="{y}" text-anchor="end">{plain(value, 3)}</text>')
-    for value, at, anchor in ((first, LEFT, "start"), (last, WIDE - 4, "end")):
-        shown_value = plain(10**value if flat else value, 3)
-        parts.append(f'<text x="{at}" y="{TALL - 6}" text-anchor="{anchor}">{shown_value}</text>')
-    return Markup(f'<svg class="static" viewBox="0 0 {WIDE} {TALL}" aria-hidden="true">{"".join(parts)}</svg>')
-
-
-def _reach(values: Sequence[Array], span: tuple[float, float] | None) -> tuple[float, float]:
-    if span is not None:
-        return span
-    finite = np.concatenate([each[np.isfinite(each)] for each in values]) if values else np.zeros(0)
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return (low, high) if high > low else (low - 1.0, high + 1.0)
-
-
-def _path(x: Array, y: Array) -> str:
-    words, pen = [], "M"
-    for a, b in zip(x.tolist(), y.tolist(), strict=True):
-        if math.isfinite(b):
-            words.append(f"{pen}{a:.0f} {b:.0f}")
-            pen = "L"
-        else:
-            pen = "M"
-    return "".join(words)
 
 
 def payload(chart: Chart) -> dict[str, Any]:

@@ -10,15 +10,14 @@ import numpy as np
 
 from hydroopt.report import hydraulics
 from hydroopt.report.charts import LOOKS, Chart, Curves, Plane
-from hydroopt.report.numbers import NONE, plain, unit_text
+from hydroopt.report.numbers import NONE, plain
 from hydroopt.report.page import document
-from hydroopt.report.panels import NUMBERS, SMALL, Panel, Trace, charts_of, columns_of, positions
+from hydroopt.report.panels import SMALL, Panel, Trace, charts_of, columns_of, positions, with_unit
 from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
 if TYPE_CHECKING:
-    from hydroopt.control.comparison import Comparison
-    from hydroopt.control.outcome import Outcome
+    from hydroopt.control.comparison import Comparison, Outcome
     from hydroopt.spatial.inertia import Array
 
 NEAR, ABOUT_CIRCLE = (-2.0, 1.0, -1.5, 1.5), (-1.2, 1.2, -1.2, 1.2)
@@ -44,10 +43,9 @@ def render(comparison: Comparison) -> str:
     if comparison.sweeps:
         shown["hydraulics"] = [*hydraulics.charts(setting.plant, comparison.sweeps)]
     return document(
-        "closed_loop.html", samples=samples, charts=shown, verdict=comparison.verdict,
+        "closed_loop.html", samples=samples, charts=shown, answer=comparison,
         scene=SceneView(setting.plant.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)),
-        machine=machine,
-        diagnostics=comparison.diagnostics, origin=comparison.source,
+        machine=machine, origin=comparison.source,
         truth=setting.true.text, rate=plain(setting.rate),
         complement=plain(setting.complementary_sensitivity),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
@@ -140,7 +138,8 @@ def _lost(comparison: Comparison) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for loop in dict.fromkeys(each.loop for each in comparison.lost_margins):
         own = sorted((each for each in comparison.lost_margins if each.loop == loop), key=lambda each: -each.lost)
-        rows += [(loop, each.parameter, _with_unit(each.std, each.unit), plain(each.disk, 2), plain(each.lost, 2))
+        rows += [(loop, each.parameter, with_unit(each.std, each.unit, digits=2), plain(each.disk, 2),
+                  plain(each.lost, 2))
                  for each in own[:MOST] if each.lost > LEAST]
     return rows
 
@@ -200,11 +199,6 @@ def _steps(comparison: Comparison) -> Iterator[Curves]:
     for k, place in enumerate(shown[0][0].loops.joints):
         yield Curves(f"{machine.joints[place]}: position after a step of its reference", "time [s]", shown[0][2], tuple(
             (_label(outcome), look, y[:, k]) for outcome, look, _, y in shown), limits=(1.0,))
-
-
-def _with_unit(value: float, unit: str) -> str:
-    name, factor = NUMBERS.get(unit, ("" if unit == "1" else unit_text(unit), 1.0))
-    return f"{plain(factor * value, 2)} {name}".strip()
 
 
 def _shown(comparison: Comparison) -> list[tuple[Outcome, str]]:

@@ -29,8 +29,6 @@ LEFT, BELOW, EDGE = 52, 40, 10
 """Room for the numbers of the axes, and around all [px]."""
 LETTER, LINE = 7.5, 13.0
 """Width of a letter and height of a line [px]."""
-OBLIQUE = np.array([0.42, -1.0, 0.34])
-"""Whence the machine in space is seen, as the page's scripts see it first."""
 STEPS = (1.0, 2.0, 5.0)
 STRUTS = ("cylinder", "gas", "spring", "rod")
 
@@ -43,14 +41,6 @@ class View(NamedTuple):
 
     right: Array
     up: Array
-
-    @classmethod
-    def oblique(cls) -> View:
-        """As pages first show the machine in space."""
-        toward = OBLIQUE / np.linalg.norm(OBLIQUE)
-        right = np.cross([0.0, 0.0, 1.0], toward)
-        right /= np.linalg.norm(right)
-        return cls(right, np.cross(toward, right))
 
     @classmethod
     def side(cls, plane: Plane) -> View:
@@ -104,7 +94,8 @@ class Drawing:
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> from hydroopt.model.scene_graph import SceneGraph
-    >>> found = drawn(SceneGraph(load_machine("cat215b")), np.array([[0.0, -0.5, 1.5]]), View.oblique())
+    >>> side = View(np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    >>> found = drawn(SceneGraph(load_machine("cat215b")), np.array([[0.0, -0.5, 1.5]]), side)
     >>> [part.name for part in found.first.parts]
     ['base', 'swing', 'boom', 'stick', 'boom_cylinder', 'stick_cylinder']
     >>> found.svg("An excavator.")[:20]

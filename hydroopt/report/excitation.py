@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
-from hydroopt.report.panels import PRINTED, Panel, Trace, charts_of, columns_of, positions
+from hydroopt.report.panels import PRINTED, SMALL, Panel, Trace, charts_of, columns_of, positions, shown, with_unit
 from hydroopt.report.samples import Recording, joined
 from hydroopt.report.scene import SceneView
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
     from hydroopt.limits.reserves import Reserves
     from hydroopt.limits.use import UseOfLimit
+    from hydroopt.simulation.simulate import Trajectory
+    from hydroopt.spatial.inertia import Array
 
 IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "mean variance (A)",
             "E": "greatest variance of any combination (E)", "condition": "condition number of the regressor"}
@@ -41,11 +43,11 @@ def render(excitation: Excitation) -> str:
         **positions(machine.joints, path.q), **columns_of(panels)})])
     view = SceneView(problem.information.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints),
                      path=excitation.tip[::max(1, len(excitation.tip) // MOST)])
-    still = ", ".join(f"{joint} at {_shown(position, machine.channel_units[f'{joint}.q'])}"
+    still = ", ".join(f"{joint} at {with_unit(position, machine.channel_units[f'{joint}.q'], PRINTED, 4)}"
                       for joint, position in problem.resting.items())
     return document(
         "excitation.html", samples=samples, charts={name: charts_of(some) for name, some in every.items()}, scene=view,
-        verdict=excitation.verdict, machine=machine, excitation=excitation, diagnostics=excitation.diagnostics,
+        answer=excitation, machine=machine, excitation=excitation,
         series=basis.text, still=still,
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), random=_beside_random(excitation),
@@ -80,13 +82,8 @@ def _condition(excitation: Excitation, scaling: str) -> str:
     return plain(excitation.condition_numbers.get(scaling, np.nan), 3)
 
 
-def _shown(value: float, unit: str) -> str:
-    name, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
-    return f"{plain(value * factor)} {name}" if np.isfinite(value) else NONE
-
-
 def _limit(use: UseOfLimit) -> dict[str, str]:
-    name, factor = PRINTED.get(use.unit, (unit_text(use.unit), 1.0))
+    name, factor = shown(use.unit, PRINTED)
     largest = max(abs(x) for x in (use.lower, use.lowest, use.highest, use.upper) if np.isfinite(x))
     lower, lowest, highest, upper, room = (plain(0.0 if abs(x) < 1e-6 * largest else factor * x) for x in (
         use.lower, use.lowest, use.highest, use.upper, use.room))
@@ -171,3 +168,60 @@ def _tip(excitation: Excitation) -> list[Panel]:
                *(() if machine.workspace is None else (machine.workspace.lower[2], machine.workspace.upper[2]))]
     return [Panel("tip: distance from the base's vertical axis", "m", [Trace("", np.hypot(tip[:, 0], tip[:, 1]))]),
             Panel("tip: height, with ground and workspace", "m", [Trace("", tip[:, 2], limits=tuple(heights))])]
+
+
+def render_sheet(excitation: Excitation) -> str:
+    """The sheet as one HTML page that needs nothing else."""
+    problem, machine, path = excitation.problem, excitation.problem.machine, excitation.trajectory
+    joints = machine.joints
+    paths = {"approach": excitation.approach.trajectory} if excitation.approach else {}
+    recordings = []
+    for name, each in (paths | {"motion": path}).items():
+        panels = _positions(excitation, each)
+        recordings.append(Recording(name, name, each.t, np.zeros(len(each.t), dtype=np.int64), {
+            **positions(joints, each.q), **columns_of(panels, SMALL)}))
+    view = SceneView(problem.information.model.scene_graph, tuple(f"{joint}.q" for joint in joints),
+                     path=excitation.tip[::max(1, len(excitation.tip) // 2000)])
+    names = [", ".join((joint, *machine.moved_along(joint))) for joint in joints]
+    return document(
+        "operator_sheet.html", samples=joined(recordings), charts={"joints": charts_of(panels, SMALL)}, scene=view,
+        machine=machine, excitation=excitation, watch=excitation.watch, steps=_steps(excitation),
+        joints=[f"{name} [{SMALL[unit][0]}]" for name, unit in zip(names, _joint_units(excitation), strict=True)],
+        duration=plain(problem.basis.duration), tips=machine.footprint is not None,
+        slope=plain(float(np.degrees(np.hypot(*machine.orientation[:2]))), 2),
+        kept=reserves_text(problem.limits.reserves))
+
+
+def _joint_units(excitation: Excitation) -> list[str]:
+    machine = excitation.problem.machine
+    return [machine.channel_units[f"{joint}.q"] for joint in machine.joints]
+
+
+def _positions(excitation: Excitation, path: Trajectory) -> list[Panel]:
+    return [Panel(f"{joint} position", unit, [Trace("", path.q[:, k])]) for k, (joint, unit) in enumerate(
+        zip(excitation.problem.machine.joints, _joint_units(excitation), strict=True))]
+
+
+def _steps(excitation: Excitation) -> list[tuple[str, list[str]]]:
+    """What to do, and the posture that it begins or ends in."""
+    problem, path = excitation.problem, excitation.trajectory
+
+    def posture(q: Array) -> list[str]:
+        return [plain(round(SMALL[unit][1] * value, 1))
+                for unit, value in zip(_joint_units(excitation), q, strict=True)]
+
+    found = excitation.approach
+    if found is None:
+        steps = [("Drive by hand, slowly and clear of everything, to where the motion starts; rest there.",
+                  posture(path.q[0]))]
+    else:
+        steps = [("The machine stands here. Check it.", posture(found.postures[0]))]
+        steps += [(f"Drive approach.csv: at {plain(float(t), 3)} s it rests here. "
+                   "Stop where a joint leaves the range between this row and the one before.", posture(q))
+                  for q, t in zip(found.postures[1:], found.arrivals[1:], strict=True)]
+    hanging = " and ".join(problem.machine.joints[k] for k in problem.limits.hanging.joints)
+    start = "Start the log, wait two seconds." if not hanging else (
+        f"Wait until {hanging} hang still, since the motion is safe from there only. Start the log, wait two seconds.")
+    return [*steps, (start, posture(path.q[0])),
+            (f"Drive trajectory.csv: {plain(problem.basis.duration)} s. It ends here at rest.", posture(path.q[-1])),
+            ("Wait two seconds, stop the log. Lock the controls before anyone enters the circle.", posture(path.q[-1]))]

@@ -4,33 +4,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import Row, quantity, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import SI
 from hydroopt.report.scene import SceneView, Tint
+from hydroopt.report.tables import parameter
 
 if TYPE_CHECKING:
     from hydroopt.model.scene_graph import SceneGraph
     from hydroopt.results.answer import Answer
-    from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+    from hydroopt.results.parameter_table import ParameterTable
 
 BARREL_OR_ROD = (".barrel", ".rod")
 
 
 def render(scene: SceneGraph, answer: Answer | None = None) -> str:
     """The page of a machine, and of the answer that it is from."""
-    rows = [] if answer is None else [(one.name, unit_text(one.unit), _numbers(one), interval(one), one.identifiability)
-                                      for one in answer.parameters.rows]
+    rows = [] if answer is None else [parameter(one, SI) for one in answer.parameters.rows]
     tints = () if answer is None else mass_tints(answer.parameters)
-    return document("view.html", scene=SceneView(scene, tints=tints), machine=scene.machine, answer=answer,
-                    diagnostics=() if answer is None else answer.diagnostics, rows=rows)
-
-
-def _numbers(one: ParameterRow) -> Row:
-    value, std, nominal = (np.nan if x is None else x for x in (one.value, one.std, one.nominal))
-    return quantity(value, std, one.ci95 or (np.nan, np.nan), nominal)
+    return document("view.html", scene=SceneView(scene, tints=tints), machine=scene.machine, answer=answer, rows=rows)
 
 
 def mass_tints(parameters: ParameterTable) -> tuple[Tint, ...]:

@@ -17,11 +17,11 @@ from markupsafe import Markup
 from hydroopt.errors import visible
 from hydroopt.report import charts as figures
 from hydroopt.report.charts import Chart, Curves, Field, HeatMap, TimeChart
-from hydroopt.report.findings import findings
 from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import NOT_SEPARABLE, Diagnostic, sentences
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
 """What a sentence shows as code: text between backticks, quoted commands, options."""
@@ -32,14 +32,32 @@ SCRIPTS = ("core", "kinematics", "scene", "charts", "tables", "start")
 
 
 class Drawn(NamedTuple):
-    """A figure as templates show it: its place among the page's charts, and what remains where no script runs."""
+    """A figure as templates show it: its place among the page's charts, and what stands there where no script runs."""
 
     place: int
     kind: str
     title: str
     alt: str
-    static: Markup | None
     tall: int
+
+
+class Found(NamedTuple):
+    """Sentences about the data, sentences about machine and motion, and groups of parameters that the motion does not
+    separate: their names, effect and variance inflation, with the one remedy."""
+
+    data: list[str]
+    machine: list[str]
+    groups: list[tuple[str, str, str]]
+    remedy: str
+
+
+def _found(diagnostics: Sequence[Diagnostic]) -> Found:
+    groups = [each for each in diagnostics if each.kind == NOT_SEPARABLE]
+    return Found(sentences(each for each in diagnostics if not each.about_machine),
+                 sentences(each for each in diagnostics if each.about_machine and each.kind != NOT_SEPARABLE),
+                 [(", ".join(each.subject), str(each.evidence["effects"]),
+                   plain(float(each.evidence["variance_inflation"]), 2)) for each in groups],
+                 groups[0].remedy if groups else "")
 
 
 @cache
@@ -58,16 +76,18 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def document(template: str, *, samples: Samples | None = None, charts: Mapping[str, Sequence[Chart]] | None = None,
-             scene: SceneView | None = None, diagnostics: Sequence[Diagnostic] = (), **content: Any) -> str:
+def document(template: str, *, answer: Answer | None = None, samples: Samples | None = None,
+             charts: Mapping[str, Sequence[Chart]] | None = None, scene: SceneView | None = None,
+             diagnostics: Sequence[Diagnostic] = (), **content: Any) -> str:
     """A page that needs nothing else: no file, no network.
 
     Args:
         template: of the folder ``templates``.
+        answer: what the page is about; the template shows its verdict and diagnostics.
         samples: columns that figures and machine share.
         charts: figures by the names under which the template shows them.
         scene: the machine in space.
-        diagnostics: of the answer; `hydroopt.report.findings` parts them.
+        diagnostics: of a page without an answer; the page parts them by what they are about.
         content: whatever else the template shows.
     """
     samples = samples or Samples("", figures.NOTHING, {})
@@ -80,8 +100,10 @@ def document(template: str, *, samples: Samples | None = None, charts: Mapping[s
     policy = "; ".join(("default-src 'none'", "img-src data: blob:", "style-src 'unsafe-inline'",
                         "script-src " + " ".join(f"'sha256-{_digest(text)}'" for text in scripts)))
     style = _text("templates", "style.css") + (_text("vendor", "uPlot.min.css") if flat else "")
+    if answer is not None:
+        diagnostics, content["verdict"] = answer.diagnostics, answer.verdict
     return _environment().get_template(template).render(
-        charts=shown, scene=scene, found=findings(diagnostics),
+        answer=answer, charts=shown, scene=scene, found=_found(diagnostics),
         replayed=samples if len(samples.at) else None, policy=policy, style=Markup(style),
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")),
         scripts=[Markup(text) for text in scripts], **content)
@@ -111,7 +133,6 @@ def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:
     lines = isinstance(chart, TimeChart | Curves)
     alt = figures.described(chart, samples) if isinstance(chart, TimeChart | Curves) else getattr(chart, "alt", "")
     return Drawn(index, chart.kind, chart.title, alt or chart.title,
-                 figures.static(chart, samples) if isinstance(chart, TimeChart | Curves) else None,
                  170 if lines else 300 if isinstance(chart, HeatMap | Field) else 230)
 
 

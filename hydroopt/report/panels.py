@@ -9,21 +9,44 @@ import numpy as np
 
 from hydroopt.report.charts import LOOKS, TimeChart
 from hydroopt.report.charts import Line as ChartLine
-from hydroopt.report.numbers import Row, quantity, unit_text
-from hydroopt.results.parameter_table import ParameterRow
+from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.spatial.inertia import Array
 
 DEG = 180 / np.pi
-PRINTED: Mapping[str, tuple[str, float]] = {
+Units = Mapping[str, tuple[str, float]]
+"""Units in print by SI unit, and what SI is multiplied by."""
+SI: Units = {}
+PRINTED: Units = {
     "rad": ("deg", DEG), "rad/s": ("deg/s", DEG), "rad/s^2": ("deg/s²", DEG), "m": ("m", 1.0), "Pa": ("bar", 1e-5),
     "m^3/s": ("L/min", 6e4), "N*m": ("kN·m", 1e-3), "N": ("kN", 1e-3)}
-"""Units that a reader prefers, and what SI is multiplied by."""
-SMALL: Mapping[str, tuple[str, float]] = {"rad": ("deg", DEG), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}
+"""Units that a reader prefers."""
+SMALL: Units = {"rad": ("deg", DEG), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}
 """The same for errors."""
-NUMBERS: Mapping[str, tuple[str, float]] = {
+NUMBERS: Units = {
     **SMALL, "rad/s": ("deg/s", DEG), "m^3/s": ("L/min", 6e4), "m^3": ("L", 1e3),
     "m^3/(s*Pa)": ("mL/(min·bar)", 6e12)}
 """The same for parameters and single numbers."""
+
+
+def shown(unit: str, units: Units = NUMBERS) -> tuple[str, float]:
+    """An SI unit in print, and what SI is multiplied by."""
+    return units.get(unit, (unit_text(unit), 1.0))
+
+
+def printed(value: float, unit: str, units: Units = NUMBERS, digits: int = 3) -> tuple[str, str]:
+    """A number in SI to some significant digits, and its unit, in print.
+
+    >>> printed(0.0123, "m")
+    ('12.3', 'mm')
+    """
+    name, factor = shown(unit, units)
+    return plain(factor * value, digits), name
+
+
+def with_unit(value: float, unit: str, units: Units = NUMBERS, digits: int = 3) -> str:
+    """The same as one text, in which a pure number has no unit."""
+    number, name = printed(value, unit, units, digits)
+    return number if name == NONE else f"{number} {name}"
 
 
 @dataclass(frozen=True)
@@ -45,39 +68,27 @@ class Panel:
     traces: list[Trace] = field(default_factory=list)
     span: tuple[float, float] | None = None
 
-    def printed(self, units: Mapping[str, tuple[str, float]]) -> tuple[str, float]:
-        """Its unit in print, and what SI is multiplied by."""
-        return units.get(self.unit, (unit_text(self.unit), 1.0))
 
-
-def columns_of(panels: Iterable[Panel], units: Mapping[str, tuple[str, float]] = PRINTED) -> dict[str, Array]:
+def columns_of(panels: Iterable[Panel], units: Units = PRINTED) -> dict[str, Array]:
     """Columns of samples for these figures."""
     found: dict[str, Array] = {}
     for panel in panels:
         for trace in panel.traces:
-            found[f"{panel.title} {trace.label}"] = panel.printed(units)[1] * trace.values
+            found[f"{panel.title} {trace.label}"] = shown(panel.unit, units)[1] * trace.values
     return found
 
 
-def charts_of(panels: Iterable[Panel], units: Mapping[str, tuple[str, float]] = PRINTED) -> list[TimeChart]:
+def charts_of(panels: Iterable[Panel], units: Units = PRINTED) -> list[TimeChart]:
     """The figures over those columns, limits as broken lines."""
     made = []
     for panel in panels:
-        unit, factor = panel.printed(units)
+        unit, factor = shown(panel.unit, units)
         limits = dict.fromkeys(factor * bound for trace in panel.traces for bound in trace.limits if np.isfinite(bound))
         lines = tuple(ChartLine(f"{panel.title} {trace.label}", trace.label or panel.title,
                                 trace.look or LOOKS[k % len(LOOKS)]) for k, trace in enumerate(panel.traces))
         span = None if panel.span is None else (factor * panel.span[0], factor * panel.span[1])
         made.append(TimeChart(f"{panel.title} [{unit}]", lines, limits=tuple(limits), span=span))
     return made
-
-
-def printed(one: ParameterRow) -> tuple[str, Row]:
-    """A parameter's unit in print, and its numbers in that unit."""
-    unit, factor = NUMBERS.get(one.unit, (unit_text(one.unit), 1.0))
-    low, high = one.ci95 or (np.nan, np.nan)
-    value, std, nominal = (np.nan if x is None else factor * x for x in (one.value, one.std, one.nominal))
-    return unit, quantity(value, std, (factor * low, factor * high), nominal)
 
 
 def positions(joints: Iterable[str], q: Array) -> MutableMapping[str, Array]:

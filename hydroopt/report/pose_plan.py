@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.report.charts import Chart, Line, TimeChart
-from hydroopt.report.numbers import NONE, percent, plain, unit_text
+from hydroopt.report.numbers import NONE, percent, plain
 from hydroopt.report.page import document
-from hydroopt.report.panels import SMALL
+from hydroopt.report.panels import SMALL, shown
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView
 from hydroopt.results.json_file import FILES
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.poses.plan import PosePlan
+    from hydroopt.excitation.selection.pose_plan import PosePlan
     from hydroopt.results.parameter_table import ParameterRow
 
 
@@ -34,20 +34,19 @@ def render(plan: PosePlan, template: str = "pose_plan.html", **more: Any) -> str
     return document(
         template, samples=Samples("pose, in the order of measuring", numbers, columns, spans),
         charts={"joints": charts}, scene=SceneView(plan.scene, tuple(f"{joint}.q" for joint in joints)),
-        verdict=plan.verdict, diagnostics=plan.diagnostics, plan=plan, sheet=plan.sheet(),
+        answer=plan, plan=plan, sheet=plan.sheet(),
         condition=plain(plan.observability.condition_number, 3),
-        answer=FILES[plan.job],
+        file=FILES[plan.job],
         rows=[_row(one) for one in plan.parameters.rows if one.identifiability != "fixed"], **more)
 
 
 def _printed(plan: PosePlan, joint: str) -> tuple[str, float]:
-    unit = plan.machine.channel_units.get(f"{joint}.q", "rad")
-    return SMALL.get(unit, (unit_text(unit), 1.0))
+    return shown(plan.machine.channel_units.get(f"{joint}.q", "rad"), SMALL)
 
 
 def _row(one: ParameterRow) -> tuple[str, str, str, str, str, str]:
     """Name, unit, standard deviation before and after, what is left of it [%], and identifiability."""
-    unit, factor = SMALL.get(one.unit, (unit_text(one.unit), 1.0))
+    unit, factor = shown(one.unit, SMALL)
     before, after = (np.nan if x is None else factor * x for x in (one.prior_std, one.std))
     return (one.name, unit, plain(before, 3), plain(after, 3), percent(after / before) if before > 0 else NONE,
             one.identifiability)

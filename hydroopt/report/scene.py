@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup
 
 from hydroopt.machine.machine import BASE
-from hydroopt.report.drawing import View, drawn
-from hydroopt.report.samples import Samples, packed
+from hydroopt.report.samples import packed
 
 if TYPE_CHECKING:
     from hydroopt.model.scene_graph import Point, SceneGraph
@@ -72,28 +70,8 @@ class SceneView:
     @property
     def alt(self) -> str:
         """The view in words."""
-        return self._description("which replays the samples of this page" if self.replayed else
-                          "which moves by the sliders below")
-
-    def still(self, samples: Samples | None) -> Markup:
-        """The machine as it is drawn where no script runs: in the first sample that has all its joints, else in the
-        middle of their ranges; nothing where its loops cannot close there."""
-        independent = len(self.graph.machine.joints)
-        if self.replayed and samples is not None:
-            q = np.column_stack([samples.columns[name] for name in self.replayed])
-            q, when = q[np.isfinite(q).all(axis=1)][:1], "in the first sample"
-        else:
-            known = (*self.graph.machine.joints, *self.graph.columns[len(self.graph.machine.tree_joints):])
-            ranges = [self._joint(name) for name in known]
-            q = np.array([[(each["lower"] + each["upper"]) / 2 for each in ranges]])
-            when = "in the middle of its ranges"
-        tree = np.hstack([self.graph.tree_positions(q[:, :independent]), q[:, independent:]])
-        if not (len(tree) and np.isfinite(tree).all()):
-            return Markup()
-        return drawn(self.graph, tree, View.oblique()).svg(self._description(when))
-
-    def _description(self, how: str) -> str:
         machine, struts = self.graph.machine, self.graph.struts
+        how = "which replays the samples of this page" if self.replayed else "which moves by the sliders below"
         parts = f"{len(self.graph.bodies)} links: {', '.join(body.name for body in self.graph.bodies)}"
         between = f"; between pins: {', '.join(strut.name for strut in struts)}" if struts else ""
         return f"The machine {machine.name} in space, {how}. {parts}{between}."

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydroopt.report.charts import Chart, Line, TimeChart
-from hydroopt.report.intervals import interval
-from hydroopt.report.numbers import plain, unit_text
+from hydroopt.report.numbers import plain
 from hydroopt.report.page import document
 from hydroopt.report.panels import NUMBERS, printed
 from hydroopt.report.samples import Recording, Samples, joined
 from hydroopt.report.scene import SceneView
+from hydroopt.report.tables import by_owner
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
@@ -23,30 +23,21 @@ if TYPE_CHECKING:
 def render(calibration: SensorCalibration) -> str:
     """The report as one HTML page that needs nothing else."""
     machine, table = calibration.problem.machine, calibration.parameters
-    rows = [(name, *printed(each), each.identifiability, interval(each)) for name, each in table.items()]
     samples = _samples(calibration)
     replayed = tuple(f"{joint}.q" for joint in machine.joints) if calibration.motions else ()
     courses = calibration.motions
-    accuracy = [(joint, *_in_print(float(np.sqrt(np.mean(np.concatenate(
+    accuracy = [(joint, *printed(float(np.sqrt(np.mean(np.concatenate(
         [course[f"{joint}.q_std"] for course in courses]) ** 2))), machine.position_unit(joint)))
         for joint in machine.joints] if courses else []
     return document(
-        "sensors.html", samples=samples, charts={"motion": _charts(calibration, samples)}, verdict=calibration.verdict,
+        "sensors.html", samples=samples, charts={"motion": _charts(calibration, samples)}, answer=calibration,
         scene=SceneView(calibration.scene, replayed), machine=machine, calibration=calibration,
-        diagnostics=calibration.diagnostics,
         accuracy=accuracy,
         motions=len(courses), postures=sum(len(set(zip(t.stage.tolist(), t.pose.tolist(), strict=True)))
                                            for t in calibration.problem.poses),
-        readings=[(channel, *_in_print(fit.rms, fit.unit), plain(calibration.ratios[channel], 3))
+        readings=[(channel, *printed(fit.rms, fit.unit), plain(calibration.ratios[channel], 3))
                   for channel, fit in calibration.fit["train"].items()],
-        groups=[(owner, list(some)) for owner, some in groupby(rows, lambda each: each[0].rpartition(".")[0])],
-        counts={kind: sum(each.identifiability == kind for each in table.values())
-                for kind in ("full", "combination", "none")})
-
-
-def _in_print(value: float, unit: str) -> tuple[str, str]:
-    name, factor = NUMBERS.get(unit, (unit_text(unit), 1.0))
-    return plain(factor * value, 3), name
+        groups=list(by_owner(table, NUMBERS).items()), counts=Counter(each.identifiability for each in table.rows))
 
 
 def _samples(calibration: SensorCalibration) -> Samples:

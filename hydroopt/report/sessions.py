@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.report.charts import Curves
-from hydroopt.report.intervals import spread
 from hydroopt.report.numbers import NONE, p_value, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView, Tint
+from hydroopt.report.tables import spread
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.payload import Payload
@@ -36,18 +36,18 @@ def render_payload(load: Payload) -> str:
     """The page of a payload; it needs nothing else."""
     rows = [_row(one, _reach(load.quantities, one.unit)) for one in load.quantities]
     return _page("payload.html", load, "load", ("without the load", "with the load"), "payload.json and payload.csv",
-                 notes=load.notes, link=load.link, rank=load.rank, statistic=plain(load.statistic, 3),
+                 link=load.link, rank=load.rank, statistic=plain(load.statistic, 3),
                  freedom=plain(load.degrees_of_freedom, 3), p=p_value(load.p_value), phi=plain(load.split_half, 2),
                  p_repeat=p_value(load.p_value_repeat), rows=rows)
 
 
 def _page(template: str, answer: SessionAnswer, title: str, roles: Iterable[str], files: str, *,
-          notes: Sequence[str] = (), tints: tuple[Tint, ...] = (), **more: Any) -> str:
+          tints: tuple[Tint, ...] = (), **more: Any) -> str:
     """A page on sessions: what all such pages have, and what its template needs beside."""
     return document(
-        template, scene=SceneView(answer.scene, tints=tints), verdict=answer.verdict, machine=answer.machine,
-        title=title, contradictions=answer.contradictions, files=files, notes=notes,
-        answers=[finding.text for finding in answer.findings], diagnostics=answer.diagnostics,
+        template, answer=answer, scene=SceneView(answer.scene, tints=tints), machine=answer.machine,
+        title=title, contradictions=answer.contradictions, files=files,
+        answers=[finding.text for finding in answer.findings],
         logs=[_session_row(role, each, answer.machine)
               for role, each in zip(roles, answer.sessions.values(), strict=True)], **more)
 
@@ -70,7 +70,7 @@ def _tints(rows: Sequence[Quantity]) -> tuple[Tint, ...]:
 
 def _row(one: Quantity, reach: float) -> dict[str, Any]:
     shown = quantity(one.value, one.std, one.ci95)
-    return {"figure": spread(one.value, one.ci95, reach, unit_text(one.unit), striking=False),
+    return {"figure": spread(one.value, one.ci95, reach, unit_text(one.unit)),
             "name": one.name, "unit": unit_text(one.unit), "value": shown.value, "std": shown.std,
             "interval": shown.interval}
 

@@ -24,7 +24,7 @@ SCHEMA = 1
 """Version of summary.json; it changes when a key changes its meaning or goes."""
 
 ORDER = "parameter, in the order of the table"
-TITLES = {"montecarlo": "Monte Carlo", "sweep": "sweep", "bootstrap": "block bootstrap", "multistart": "random starts"}
+TITLES = {"montecarlo": "Monte Carlo", "sweep": "sweep", "bootstrap": "block bootstrap"}
 
 
 def save(study: Study, table: Table, summary: Mapping[str, Any], directory: str | Path) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def render(content: Mapping[str, Any], table: Table) -> str:
         table: of the cells.
     """
     kind = content["study"]
-    charts = {"montecarlo": _trials, "sweep": _sweep, "bootstrap": _bootstrap, "multistart": _starts}[kind](
+    charts = {"montecarlo": _trials, "sweep": _sweep, "bootstrap": _bootstrap}[kind](
         content, table)
     return document(
         "study.html", charts={"study": charts}, content=content,
@@ -133,18 +133,6 @@ def _bootstrap(content: Mapping[str, Any], table: Table) -> list[Curves]:
         ("scatter / stated σ", "predicted", _floats(row["scatter_over_stated"] for row in content[key])),),
         limits=(1.0,), dots=True) for key, title in (("parameters", "parameters"),
                                                      ("base_parameters", "base parameters"))]
-
-
-def _starts(content: Mapping[str, Any], table: Table) -> list[Curves]:
-    """Squared errors of the optima over the starts, the best first, and the ranges of the parameters."""
-    rows, costs = [row for row in content["parameters"] if row["std"]], np.sort(table.column("cost"))
-    made = [Curves("squared errors at the optima", "start, the best first", _numbers(costs), (
-        ("squared errors", "predicted", costs),), dots=True, logarithmic=(False, bool(costs[-1] > 10 * costs[0] > 0)))]
-    if rows:
-        made.append(Curves("range about the best [standard deviations]", ORDER, _numbers(rows), tuple(
-            (label, look, _floats(row[key] for row in rows)) for label, look, key in (
-                ("lowest", "predicted", "lowest_std"), ("highest", "other", "highest_std"))), limits=(0.0,), dots=True))
-    return made
 
 
 def _numbers(rows: Sized) -> Array:

@@ -41,9 +41,9 @@ def render(weighing: Weighing) -> str:
                       shaded=(("predicted", "low", "high"),))
     misfit = TimeChart("residuals / expected residuals", (Line("misfit", "misfit"),), limits=(1.0,))
     return document(
-        "weighing.html", samples=samples, charts={"course": [chart, misfit]}, verdict=weighing.verdict,
+        "weighing.html", samples=samples, charts={"course": [chart, misfit]}, answer=weighing,
         scene=SceneView(model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)), machine=machine,
-        diagnostics=weighing.diagnostics, answers=[each.text for each in weighing.findings],
+        answers=[each.text for each in weighing.findings],
         loads=[_row(weighing, each) for each in weighing.loads],
         statuses=[(str(status), count) for status in Weighable
                   if (count := sum(each.status is status for each in weighing.readings))])

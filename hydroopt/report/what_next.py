@@ -12,7 +12,7 @@ from hydroopt.report.numbers import plain
 from hydroopt.report.page import document
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.next.plan import WhatNext
+    from hydroopt.excitation.selection.what_next import WhatNext
 
 
 def render(plan: WhatNext) -> str:
@@ -27,9 +27,9 @@ def render(plan: WhatNext) -> str:
               [goal.readable(std) for goal, std in zip(goals, plan.stds[k + 1].tolist(), strict=True)])
              for k, step in enumerate(plan.steps)]
     others = [(step.measurement.name, len(step.parts), plain(step.minutes, 3), plain(100 * step.rate, 3),
-               [goal.readable(goal.std(step.after.knowledge.covariance)) for goal in goals])
+               [goal.readable(goal.std(step.after.covariance)) for goal in goals])
               for step in plan.alternatives]
     return document(
-        "what_next.html", charts={"course": charts}, verdict=plan.verdict, diagnostics=plan.diagnostics, plan=plan,
+        "what_next.html", charts={"course": charts}, answer=plan, plan=plan,
         goals=[(goal.name, goal.readable(goal.target), goal.readable(std)) for goal, std in
                zip(goals, plan.stds[0].tolist(), strict=True)], steps=steps, others=others, sheet=plan.sheet())

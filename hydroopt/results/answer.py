@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import math
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
@@ -18,8 +20,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
-from hydroopt.results.command_line import CommandLine
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId, validated
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
@@ -27,31 +28,62 @@ from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Use, Verdict
-from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS, UNSTATED
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 KINDS = {
-    "Estimate": ("estimation.dynamic.estimate", json_file.Job.IDENTIFICATION),
-    "CombinedEstimate": ("estimation.combined.estimate", json_file.Job.IDENTIFICATION),
-    "Calibration": ("estimation.kinematic.calibration", json_file.Job.CALIBRATION),
-    "SensorCalibration": ("estimation.motion.sensor_calibration", json_file.Job.SENSORS),
-    "HydraulicEstimate": ("estimation.hydraulic.estimate", json_file.Job.HYDRAULICS),
-    "Excitation": ("excitation.motion.excitation", json_file.Job.EXCITATION),
-    "PosePlan": ("excitation.poses.plan", json_file.Job.POSE_PLAN),
-    "MeasureUpPlan": ("excitation.poses.measure_up_plan", json_file.Job.POSE_PLAN),
-    "CalibratorDesign": ("excitation.calibrator.calibrator_design", json_file.Job.CALIBRATOR),
-    "WhatNext": ("excitation.next.plan", json_file.Job.NEXT),
-    "SessionComparison": ("estimation.dynamic.session_comparison", json_file.Job.CHANGE),
-    "Payload": ("estimation.dynamic.payload", json_file.Job.PAYLOAD),
-    "Weighing": ("weighing.weighing", json_file.Job.WEIGHING),
-    "Comparison": ("control.comparison", json_file.Job.CONTROL),
-    "LogCheck": ("estimation.dynamic.log_check", json_file.Job.CHECK),
-    "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK),
-    "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK)}
-"""Module and job of the class of each answer, which `load` makes again; a JSON file names the class."""
+    "Estimate": ("estimation.dynamic.estimate", json_file.Job.IDENTIFICATION, "identification.render"),
+    "CombinedEstimate": ("estimation.combined.estimate", json_file.Job.IDENTIFICATION, "identification.render"),
+    "Calibration": ("estimation.kinematic.calibration", json_file.Job.CALIBRATION, "calibration.render"),
+    "SensorCalibration": ("estimation.motion.sensor_calibration", json_file.Job.SENSORS, "sensors.render"),
+    "HydraulicEstimate": ("estimation.hydraulic.estimate", json_file.Job.HYDRAULICS, "valves.render"),
+    "Excitation": ("excitation.motion.excitation", json_file.Job.EXCITATION, "excitation.render"),
+    "PosePlan": ("excitation.selection.pose_plan", json_file.Job.POSE_PLAN, "pose_plan.render"),
+    "MeasureUpPlan": ("excitation.selection.measure_up", json_file.Job.POSE_PLAN, "pose_plan.render"),
+    "CalibratorDesign": ("excitation.selection.calibrator_design", json_file.Job.CALIBRATOR, "calibrator.render"),
+    "WhatNext": ("excitation.selection.what_next", json_file.Job.NEXT, "what_next.render"),
+    "SessionComparison": ("estimation.dynamic.session_comparison", json_file.Job.CHANGE, "sessions.render_comparison"),
+    "Payload": ("estimation.dynamic.payload", json_file.Job.PAYLOAD, "sessions.render_payload"),
+    "Weighing": ("weighing.weighing", json_file.Job.WEIGHING, "weighing.render"),
+    "Comparison": ("control.comparison", json_file.Job.CONTROL, "closed_loop.render"),
+    "LogCheck": ("estimation.dynamic.log_check", json_file.Job.CHECK, ""),
+    "MotionCheck": ("checks.motion", json_file.Job.MOTION_CHECK, ""),
+    "PostureCheck": ("checks.postures", json_file.Job.POSTURE_CHECK, "")}
+"""Module and job of the class of each answer, which `load` makes again, and what in the room `report` writes its page.
+A JSON file names the class."""
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """What was typed, from which next steps are made that can be copied.
+
+    Attributes:
+        words: of the command, without the program's name; empty where no command was typed, as in Python.
+        directory: that receives the answer; ``DIR`` where no command says so.
+
+    >>> typed = CommandLine(("identify", "cat215b", "my log.csv", "-o", "out"), "out")
+    >>> typed.again("--holdout", "0.3")
+    "hydroopt identify cat215b 'my log.csv' -o out --holdout 0.3"
+    >>> typed.path("poses.csv"), CommandLine().path(), CommandLine().again("--holdout", "0.3")
+    ('out/poses.csv', 'DIR', '')
+    """
+
+    words: tuple[str, ...] = ()
+    directory: str = "DIR"
+
+    def again(self, *more: str) -> str:
+        """The same command with more options; empty where none was typed."""
+        return shlex.join(("hydroopt", *self.words, *more)) if self.words else ""
+
+    def given(self, *options: str) -> bool:
+        """Whether one of the options was typed."""
+        return any(word.partition("=")[0] in options for word in self.words)
+
+    def path(self, *parts: str) -> str:
+        """A file of the answer, or its directory, quoted for a shell."""
+        return shlex.quote(str(Path(self.directory, *parts)))
 
 
 class Answer(Drawn, ABC):
@@ -122,12 +154,12 @@ class Answer(Drawn, ABC):
     @property
     def contradictions(self) -> tuple[Diagnostic, ...]:
         """The diagnostics that make it suspect."""
-        return of_kind(self.diagnostics, *CONTRADICTIONS)
+        return tuple(each for each in self.diagnostics if each.contradicts)
 
     @property
     def refuted(self) -> bool:
         """Whether the data contradict the machine file as they are read, so that commands end with exit code 3."""
-        return bool(of_kind(self.diagnostics, *REFUTATIONS))
+        return any(each.meaning is Meaning.REFUTATION for each in self.diagnostics)
 
     @property
     @abstractmethod
@@ -137,8 +169,8 @@ class Answer(Drawn, ABC):
     @property
     def verdict(self) -> Verdict:
         """What it can be used for, what not, and what to do next."""
-        against = self.contradictions
-        first = (*of_kind(against, *REFUTATIONS), *of_kind(self.diagnostics, *UNSTATED), *against)
+        first = [each for meaning in (Meaning.REFUTATION, Meaning.LACK, Meaning.CONTRADICTION)
+                 for each in self.diagnostics if each.meaning is meaning]
         checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in first) if remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
                        first[0].text if first else "", self.uses, (*checks, *self.next_steps), self.headline)
@@ -240,7 +272,7 @@ class Answer(Drawn, ABC):
         facts = self.verdict.facts | ({"found": found} if found else {})
         fits = [(data, channel, readable(fit.rms, fit.unit, 3), _percent(fit.vaf).strip())
                 for data, table in self.fit.items() for channel, fit in table.items()]
-        diagnostics = [(str(each.kind), each.text) for each in self.diagnostics]
+        diagnostics = [(each.kind, each.text) for each in self.diagnostics]
         return Card(f"{self.verdict.title}: {self.status}", facts, [table for table in (
             CardTable(("data", "channel", "RMS error", "VAF"), fits, noun="channels"), *self.parameters.card_tables(),
             CardTable(("diagnostic", ""), diagnostics, shown=3, noun="diagnostics")) if table.rows])
@@ -353,7 +385,7 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
                Verdict(json_file.title(machine_id.name, job, method), status, reason))
     diagnostics, findings = (validated(tuple[Diagnostic, ...], saved.get(key, ())) for key in (
         "diagnostics", "findings"))
-    checks = {each.remedy for each in (*diagnostics, *findings) if str(each)}  # which the evidence suffices to write
+    checks = {each.remedy for each in (*diagnostics, *findings)}
 
     def machine(answer: Answer) -> Machine:
         name = f"{machine_id.name}.toml"
@@ -377,7 +409,8 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
         "status": status, "method": method, "machine_id": machine_id, "verdict": verdict, "uses": verdict.uses,
         "headline": verdict.finding,
         "next_steps": tuple(step for step in verdict.next_steps if step.text not in checks),
-        "diagnostics": diagnostics, "findings": findings, "refuted": bool(of_kind(diagnostics, *REFUTATIONS)),
+        "diagnostics": diagnostics, "findings": findings,
+        "refuted": any(each.meaning is Meaning.REFUTATION for each in diagnostics),
         "parameters": ParameterTable(validated(tuple[ParameterRow, ...], saved.get("parameters", ()))),
         "fit": fits(saved.get("fit", {})),
         "fit_by_model": {name: fits(sets) for name, sets in saved.get("fit_by_model", {}).items()},
@@ -426,7 +459,7 @@ def load(directory: str | Path) -> Answer:
 def _kind(content: Mapping[str, Any]) -> type[Answer]:
     """The class of the answer in a JSON file."""
     job = json_file.Job(content["job"])
-    kinds = {name: module for name, (module, of) in KINDS.items() if of == job}
+    kinds = {name: module for name, (module, of, _) in KINDS.items() if of == job}
     name = content.get("answer", {}).get("class")
     name = name if name in kinds else next(iter(kinds))
     return cast(type[Answer], getattr(import_module(f"hydroopt.{kinds[name]}"), name))

@@ -1,64 +1,111 @@
-"""A diagnostic: one thing that a reader should know before trusting an answer, as a typed value."""
+"""A diagnostic: one thing that a reader should know before trusting an answer."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from string import Formatter
+from typing import Any, Self
 
-from hydroopt.results.machine_wording import MACHINE_WORDS
-from hydroopt.results.pose_wording import POSE_WORDS
-from hydroopt.results.sensor_wording import SENSOR_WORDS
-from hydroopt.results.session_wording import SESSION_WORDS
-from hydroopt.results.wording import WORDS, Kind, filled
-
-_ALL_WORDS = WORDS | MACHINE_WORDS | POSE_WORDS | SESSION_WORDS | SENSOR_WORDS
 LEAST_P = 1e-15
 """p-value below which rounding errors leave no digit of it."""
 NAMED = 8
 """How many names of a list are written out."""
+NOT_SEPARABLE = "not separable in this motion"
+"""Kind of the diagnostic of a group of parameters that a motion does not separate."""
+DATA, MACHINE = "Data", "Machine and motion"
+"""Headings of diagnostics."""
+
+
+class Meaning(StrEnum):
+    """What a diagnostic means for its answer; the value stands in JSON files."""
+
+    NOTE = "note"
+    """It is about the data and leaves the answer as it is."""
+    PROPERTY = "property"
+    """It is what machine, machine file and motion are like, whatever the readings are."""
+    LACK = "lack"
+    """It is a property that the machine file lacks, to be stated before anything else is done."""
+    CONTRADICTION = "contradiction"
+    """It makes the answer suspect."""
+    REFUTATION = "refutation"
+    """It makes the answer suspect, and no machine is made of it unless that is forced: its data are misread."""
+
+
+class _Sentence(Formatter):
+    """A format such as ``.0f %`` writes a part as a percentage; None is unknown."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if value is None:
+            return "unknown"
+        if format_spec.endswith(" %"):
+            return f"{100 * value:{format_spec.removesuffix(' %')}} %"
+        return str(super().format_field(value, format_spec))
 
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One finding about an answer.
+    """One finding about an answer, stated by the code that finds it.
 
-    Code decides by `kind`, `subject` and `evidence`; text and remedy are written from them in `results/wording.py` and
-    are never searched.
+    Code decides by `meaning`, `kind`, `subject` and `evidence`; `text` and `remedy` are never searched.
 
     Attributes:
-        kind: what was found.
+        kind: what was found, a short name that stays the same from version to version.
         subject: names of the parameters, bodies, actuators, logs or poses that it is about.
         evidence: the numbers (SI, or as the key says) and words that show it.
+        text: what was found, as one or two sentences.
+        remedy: what to do about it; empty where nothing can be done.
+        meaning: what it means for the answer.
 
     Example:
-        >>> from hydroopt.results.wording import Kind
-        >>> d = Diagnostic(Kind.WORSE_THAN_ZERO, ("boom_cylinder",), {"relative": 1.31})
-        >>> print(d.text)
-        The forces of boom_cylinder in the validation logs are predicted worse than by zero (131 % error).
+        >>> d = Diagnostic.of("worse than zero", ("boom_cylinder",), {"relative": 1.31},
+        ...                   "The forces of {subject} are predicted worse than by zero ({relative:.0f %} error).",
+        ...                   meaning=Meaning.CONTRADICTION)
+        >>> print(d.text, d.contradicts)
+        The forces of boom_cylinder are predicted worse than by zero (131 % error). True
     """
 
-    kind: Kind
-    subject: tuple[str, ...] = ()
-    evidence: Mapping[str, Any] = field(default_factory=dict)
+    kind: str
+    subject: tuple[str, ...]
+    evidence: Mapping[str, Any]
+    text: str
+    remedy: str = ""
+    meaning: Meaning = Meaning.NOTE
+
+    @classmethod
+    def of(cls, kind: str, subject: Sequence[str], evidence: Mapping[str, Any], text: str, remedy: str = "",
+           meaning: Meaning = Meaning.NOTE) -> Self:
+        """With text and remedy as templates for `filled`."""
+        return cls(kind, tuple(subject), dict(evidence), filled(text, subject, evidence),
+                   filled(remedy, subject, evidence), meaning)
 
     @property
-    def text(self) -> str:
-        """What was found, as one or two sentences."""
-        return filled(_ALL_WORDS[self.kind].text, listed(self.subject), self.evidence)
+    def contradicts(self) -> bool:
+        """Whether it makes the answer suspect."""
+        return self.meaning in (Meaning.CONTRADICTION, Meaning.REFUTATION)
 
     @property
-    def remedy(self) -> str:
-        """What to do about it; empty where nothing can be done."""
-        return filled(_ALL_WORDS[self.kind].remedy, listed(self.subject), self.evidence)
+    def about_machine(self) -> bool:
+        """Whether it is a property of machine, machine file and motion, whatever the readings are."""
+        return self.meaning in (Meaning.PROPERTY, Meaning.LACK)
 
     def __str__(self) -> str:
         return f"{self.text} {self.remedy}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
-        return {"kind": str(self.kind), "subject": list(self.subject), "evidence": dict(self.evidence),
-                "text": self.text, "remedy": self.remedy}
+        return asdict(self) | {"subject": list(self.subject), "meaning": str(self.meaning)}
+
+
+def filled(template: str, subject: Sequence[str], evidence: Mapping[str, Any]) -> str:
+    """A template with a diagnostic's subject and evidence; ``{relative:.0f %}`` writes 0.25 as "25 %"."""
+    return _Sentence().vformat(template, (), {**evidence, "subject": listed(subject)})
+
+
+def in_samples(log: str, text: str) -> Diagnostic:
+    """What was found in the samples of a log when it was read."""
+    return Diagnostic.of("finding in the data", (log,), {"text": text}, "{subject}: {text}")
 
 
 def listed(names: Sequence[str], most: int = NAMED) -> str:
@@ -66,7 +113,7 @@ def listed(names: Sequence[str], most: int = NAMED) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def of_kind(diagnostics: Iterable[Diagnostic], *kinds: Kind) -> tuple[Diagnostic, ...]:
+def of_kind(diagnostics: Iterable[Diagnostic], *kinds: str) -> tuple[Diagnostic, ...]:
     """Those of some kinds."""
     return tuple(diagnostic for diagnostic in diagnostics if diagnostic.kind in kinds)
 
@@ -76,6 +123,29 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> list[str]:
     found = list(diagnostics)
     return [each.text if after is not None and after.remedy == each.remedy else str(each)
             for each, after in zip(found, [*found[1:], None], strict=True)] if found else []
+
+
+def summary(diagnostics: Iterable[Diagnostic]) -> dict[str, list[str]]:
+    """Sentences by heading, `DATA` before `MACHINE`; groups that are not separable in one sentence with their number.
+
+    >>> both = [Diagnostic("no validation data", (), {}, "No log was held out."),
+    ...         Diagnostic("not excited", ("boom.m",), {}, "Not excited: boom.m.", meaning=Meaning.PROPERTY)]
+    >>> [(heading, len(each)) for heading, each in summary(both).items()]
+    [('Data', 1), ('Machine and motion', 1)]
+    """
+    found = list(diagnostics)
+    groups = of_kind(found, NOT_SEPARABLE)
+    machine = [each for each in found if each.about_machine and (each not in groups or len(groups) == 1)]
+    by_heading = {DATA: sentences(each for each in found if not each.about_machine),
+                  MACHINE: sentences(machine) + ([_not_separable(groups)] if len(groups) > 1 else [])}
+    return {heading: texts for heading, texts in by_heading.items() if texts}
+
+
+def _not_separable(groups: Sequence[Diagnostic]) -> str:
+    count = sum(len(group.subject) for group in groups)
+    return (f"{count} parameters in {len(groups)} groups are not separable in this motion: the data determine each "
+            f"group's joint effect, and the priors the rest. estimate.json and the report list them. "
+            f"{groups[-1].remedy.partition(': ')[2].capitalize()}")
 
 
 def probability(p: float) -> str:

@@ -19,9 +19,9 @@ from pydantic import TypeAdapter
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.files import claimed, encoded, lies_within, write_files
 from hydroopt.input_file import read_bytes, read_json
+from hydroopt.packages import versions
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Verdict
-from hydroopt.versions import versions
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.integrator import IntegrationError
-from hydroopt.logs import sensors
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
@@ -106,10 +105,8 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
     rng, machine = np.random.default_rng(seed), plant.machine
     channels = {channel: lagged(t, values, machine.lag(channel).value) for channel, values in channels.items()}
     for channel in channels if noise else ():
-        sensor = machine.sensor(channel)
-        if sensor is not None:
-            channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
-                                                sensor.distribution)
+        if sensor := machine.sensor(channel):
+            channels[channel] = sensor.read(channels[channel], rng)
     channels |= {channel: commands[:, k] for k, channel in enumerate(plant.inputs)}
     units = plant.machine.channel_units
     return Log(name, t, channels, units={channel: units[channel] for channel in channels})

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
-from hydroopt.logs.sensors import measure
 from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
@@ -187,60 +186,6 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
     return found[:count], tried
 
 
-def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry: Array, fixture: Held,
-                    locked: dict[str, float] | None = None, seed: int = 0) -> Array:
-    """Closed postures (count, n) of a stage, spread over the limits of moving and measured joints.
-
-    Args:
-        model: geometry; `geometry` (p,) its values.
-        stage: which joints move and where the others are locked.
-        count: how many.
-        fixture: what holds the tip.
-        locked: angles [rad] other than the stage's.
-        seed: of the random generator.
-
-    Raises:
-        ProblemError: hardly any posture closes within the limits.
-    """
-    turning = sensed_joints(model)
-    found, tried = closed_postures(
-        model, count, np.random.default_rng(seed), geometry=geometry, turning=turning, fixture=fixture,
-        within_limits=[*turning, *(model.joints.index(name) for name in stage.moves)],
-        locked=dict(stage.locked) | (locked or {}), batch=2 * count,
-        give_up=lambda found, tried: tried >= 100 * count + 1000)
-    if len(found) < count:
-        raise ProblemError(f"only {len(found)} of {tried} postures close within the joints' limits",
-                           where=f"stage '{stage.name}'",
-                           remedy="move the fixture, widen the calibrator's limits or lock the joints elsewhere")
-    return found
-
-
-def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, fixture: Held,
-          locked: dict[str, float] | None = None) -> Array:
-    """Closed postures (N, n) along a path (N, number of moving joints) [rad]; the calibrator follows.
-
-    Raises:
-        ProblemError: the chain opens on the way.
-    """
-    low, high = limits(model)
-    moving, free = [model.joints.index(name) for name in stage.moves], sensed_joints(model)
-    q = np.clip(np.zeros(len(low)), low, high)
-    for name, angle in (dict(stage.locked) | (locked or {})).items():
-        q[model.joints.index(name)] = angle
-    q[free] = (low + high)[free] / 2
-    found = []
-    for k, target in enumerate(np.atleast_2d(path)):
-        q = q.copy()
-        q[moving] = target
-        closed, good = close(model, geometry, q[None], free, fixture)
-        if not good[0]:
-            raise ProblemError(f"the chain opens at step {k + 1} of the sweep", where=f"stage '{stage.name}'",
-                               remedy="shorten the sweep or move the fixture")
-        q = closed[0]
-        found.append(q)
-    return np.array(found)
-
-
 def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Sequence[str], *, geometry: Array,
            tape: Sequence[str] = (), setup: Sequence[str] = (), standing: Mapping[tuple[str, str], Array] | None = None,
            biases: Mapping[str, Array] | None = None, touch: Sequence[str] = (),
@@ -283,8 +228,7 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     read = {}
     for channel in channels:
         sensor = model.machine.sensor(channel)
-        read[channel] = true[channel] if seed is None or sensor is None else measure(
-            true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
+        read[channel] = true[channel] if seed is None or sensor is None else sensor.read(true[channel], rng)
     datums = {datum.name for datum in model.machine.datums}
     for each in model.measurements if len(touch) else ():
         for channel in each.channels if each.name.partition(".")[0] in datums else ():

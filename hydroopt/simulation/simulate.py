@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.logs import sensors
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import STANDSTILL
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
-from hydroopt.machine.given_machine import GivenMachine
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.model.model import Model, model_of
 from hydroopt.parameters.dynamic import bodies
-from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation.calibrator_motion import CalibratorMotion
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.spatial import inertia
@@ -183,40 +181,14 @@ def _alike(model: Model) -> dict[int, list[int]]:
 def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     """Noise-free forces (N, a) of all actuators, measured or not, in a motion with the parameters ψ.
 
-    The friction of seals depends on pressures and these on the force, which is so found for both at once. Actuators of
-    one joint share its load by the rule of `shared_load`. A joint slower than `STANDSTILL` stands still: its speed
-    would be rounding, whose sign dry friction would follow.
+    The friction of seals depends on pressures and these on the force, so that one is found from the other by turns.
+    Actuators of one joint share its load by the rule of `shared_load`. A joint slower than `STANDSTILL` stands still:
+    its speed would be rounding, whose sign dry friction would follow.
     """
     motion = replace(motion, qd=np.where(np.abs(motion.qd) < STANDSTILL, 0.0, motion.qd))
     if own := set(model.pressed) - set(model.machine.sealed):
         raise ProblemError(f"own terms of {', '.join(own)} depend on pressures, which follow from forces",
                            where="simulation", remedy="simulate without these terms")
-    if not model.machine.one_each:
-        return _shared_forces(model, motion, psi)
-    state, still = (motion.q, motion.qd, motion.qdd), np.zeros_like(motion.q)
-    extra = (still,) if model.needs_pressure else ()
-    force = model.over(model.inverse_dynamics, *state, *extra, psi)[0][:, :, 0]
-    if motion.wrench is not None:
-        force = force + model.over(model.wrench_forces, motion.q, motion.wrench)[0][:, :, 0]
-    if motion.calibrator is not None:
-        force = force + motion.calibrator.regressor(*state) @ psi
-    if not model.needs_pressure:
-        return force
-    # Stribeck speeds stay: there is no force, but one divides by them
-    seals = np.where([kind in (ParameterKind.SEAL_FRICTION, ParameterKind.STRIBECK_SPEED)
-                      for kind in model.parameters.kinds], psi, 0.0)
-    share = model.over(model.inverse_dynamics, *state, still + 1.0, seals)[0][:, :, 0]
-    for k, actuator in enumerate(model.machine.actuators):
-        if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):
-            if not seals[model.parameters.index(f"{actuator.name}.f_seal")] < actuator.areas[1]:
-                raise ProblemError(f"the seals of {actuator.name} would hold it against any pressure",
-                                   where="simulation", remedy=f"keep its seal below the rod side's area of "
-                                                              f"{actuator.areas[1]:.4g} m^2")
-            force[:, k] = _sealed(force[:, k], share[:, k], *actuator.areas)
-    return force
-
-
-def _shared_forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     machine, state = model.machine, (motion.q, motion.qd, motion.qdd)
     load = np.zeros_like(motion.q)
     if motion.wrench is not None:
@@ -237,17 +209,6 @@ def _shared_forces(model: Model, motion: Trajectory, psi: Array) -> Array:
             return np.asarray(force)
     raise ProblemError(f"the seals of {', '.join(machine.sealed)} would hold them against any pressure",
                        where="simulation", remedy="keep the seals well below the rod sides' areas")
-
-
-def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
-    """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
-
-    That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope
-    −1/rod below, so that on either side of it f solves a linear equation; its sign there decides which one.
-    """
-    level = (head - rod) * BACK_PRESSURE
-    beyond = without + share * 2 * BACK_PRESSURE - level
-    return np.asarray(level + beyond / (1 - share * np.where(beyond > 0, 1 / head, -1 / rod)))
 
 
 def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None = None, *, noise: bool = True,
@@ -300,10 +261,8 @@ def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None 
     channels = {channel: lagged(motion.t, values, machine.lag(channel).value) for channel, values in channels.items()}
     if noise:
         for channel in channels:
-            sensor = machine.sensor(channel)
-            if sensor is not None:
-                channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
-                                                    sensor.distribution)
+            if sensor := machine.sensor(channel):
+                channels[channel] = sensor.read(channels[channel], rng)
         _err(machine, channels, rng)
     return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
 

@@ -25,7 +25,6 @@ from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study, Values, seeds
-from hydroopt.study.summary import failed
 from hydroopt.study.table import Table
 
 
@@ -170,7 +169,7 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
         rows.append({"name": name.removeprefix("base "), "unit": units[k], "value": value, "cells": len(refits),
                      "bias": float(np.mean(refits)) - value, "scatter": scatter, "stated_std": stated,
                      "scatter_over_stated": scatter / stated if scatter is not None and stated else None})
-    return {"cells": len(table), **failed(table),
+    return {"cells": len(table), **table.failed,
             "block_samples": {each.name: size for each, size in zip(work.machine.balances, work.blocks.tolist(),
                                                                     strict=True)},
             "parameters": rows[: len(work.names)], "base_parameters": rows[len(work.names):]}

@@ -24,8 +24,7 @@ from hydroopt.parameters.dynamic import carried
 from hydroopt.simulation import simulate
 from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study, Value, Values, seeds
-from hydroopt.study.summary import failed, quantiles, spread
-from hydroopt.study.table import Table
+from hydroopt.study.table import Table, quantiles, spread
 
 DURATION = 33.28
 """Of a random motion [s]: the 1664 samples of the thesis."""
@@ -163,7 +162,7 @@ def _point(trial: Any, table: Table) -> dict[str, Any]:
                      std[valued]), "coverage": _mean(inside)})
     by_cell = np.array([_mean(cell) for cell in np.array(covered).T], dtype=float)
     by_cell = by_cell[np.isfinite(by_cell)]
-    return {"cells": len(table), **failed(table),
+    return {"cells": len(table), **table.failed,
             "coverage": _mean(np.array(covered)),
             "coverage_std_error": float(np.std(by_cell, ddof=1) / np.sqrt(len(by_cell))) if len(by_cell) > 1 else None,
             "coverage_half_width": 1.96 * float(np.sqrt(0.95 * 0.05 / max(fewest, 1))),

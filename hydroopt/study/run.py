@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from contextlib import closing
+import json
+import math
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.extras import needed
 from hydroopt.files import claimed, write_files
+from hydroopt.input_file import read_json
+from hydroopt.packages import needed
 from hydroopt.progress import Progress, silent
 from hydroopt.study import processes
-from hydroopt.study.directory import Directory
-from hydroopt.study.study import Outcome, Study
+from hydroopt.study.study import Compute, Outcome, Study, Value
 from hydroopt.study.table import Table
+
+IDENTITY = "study.json"
 
 
 def run(study: Study, directory: str | Path, *, scheduler: str | None = None, workers: int = 2,
@@ -43,35 +49,132 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         raise ProblemError("a study needs at least one cell and one worker", where=f"study '{study.name}'",
                            remedy="increase --cells or --processes")
     with claimed(directory):
-        return _run(study, directory, scheduler, workers, say)
-
-
-def _run(study: Study, directory: str | Path, scheduler: str | None, workers: int,
-         say: Progress) -> Table:
-    place = Directory(directory, study)
-    outcomes = place.read()
-    missing = [k for k in range(len(study.cells)) if k not in outcomes]
-    if missing:
-        before = len(outcomes)
-        say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
-        with closing(_computed(study, missing, scheduler, workers, say)) as results:
-            for index, outcome in results:
-                outcomes[index] = place.write(index, outcome)
-                say(f"{len(outcomes)} of {len(study.cells)} cells", (len(outcomes) - before) / len(missing))
-    table = Table(study.cells, tuple(outcomes[k] for k in range(len(study.cells))))
-    write_files(directory, {"results.csv": table.csv()})
+        place = Directory(directory, study)
+        outcomes = place.read()
+        missing, before = [k for k in range(len(study.cells)) if k not in outcomes], len(outcomes)
+        if missing:
+            say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
+            with _compute(study, scheduler, workers, say) as compute, closing(_finished(compute, missing)) as results:
+                for index, outcome in results:
+                    outcomes[index] = place.write(index, outcome)
+                    say(f"{len(outcomes)} of {len(study.cells)} cells", (len(outcomes) - before) / len(missing))
+        table = Table(study.cells, tuple(outcomes[k] for k in range(len(study.cells))))
+        write_files(directory, {"results.csv": table.csv()})
     if not table.results:
         raise SolverError(f"no cell succeeded: {next(iter(table.failures)).rstrip('.').replace('; ', ', ')}",
                           where=str(directory), remedy="correct the cause and choose another directory with -o")
     return table
 
 
-def _computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
-              say: Progress) -> Generator[tuple[int, Outcome]]:
-    """Outcomes of cells as they finish."""
+def _compute(study: Study, scheduler: str | None, workers: int, say: Progress) -> AbstractContextManager[Compute]:
+    """What computes cells: processes of this computer, or the workers of a Dask scheduler."""
     if scheduler is None:
-        return processes.computed(study, indices, workers)
+        return nullcontext(partial(processes.computed, study, workers=workers))
     needed("distributed", "cells are handed to a scheduler with Dask", where=f"--scheduler {scheduler}")
-    from hydroopt.study.scheduler import computed  # noqa: PLC0415 (Dask takes a second to import)
+    from hydroopt.study.scheduler import computing  # noqa: PLC0415 (Dask takes a second to import)
 
-    return computed(study, indices, scheduler, say)
+    return computing(study, scheduler, say)
+
+
+def _finished(compute: Compute, indices: Sequence[int]) -> Generator[tuple[int, Outcome]]:
+    """Outcomes of cells as they finish."""
+    suspects = []
+    for index, found in compute(indices):
+        if found is None:
+            suspects.append(index)
+        else:
+            yield index, found
+    for suspect in suspects:  # one by one: a crash costs no other cell, and the memory may suffice for one
+        for index, found in compute([suspect]):
+            yield index, found or {"error": f"cell {index}: the process that computed it died repeatedly; check "
+                                   "whether the memory suffices."}
+
+
+class Directory:
+    """``study.json`` with the identity of the study, and ``cells/INDEX.json``; each file appears whole or not."""
+
+    def __init__(self, path: str | Path, study: Study) -> None:
+        """Open or create a study's directory.
+
+        Raises:
+            ProblemError: it holds the cells of another study, or cannot be written.
+        """
+        self.path, self.study = Path(path), study
+        refuse(self.path, study)
+        write_files(self.path, {IDENTITY: json.dumps(study.identity, indent=1)})
+
+    def read(self) -> dict[int, Outcome]:
+        """Outcomes of the finished cells, by index; a cell that cannot be read counts as unfinished."""
+        found: dict[int, Outcome] = {}
+        for index, cell in enumerate(self.study.cells):
+            try:
+                content = read_json(self.path / f"cells/{index}.json", ProblemError)
+                kept = {key: value for key, value in content.items() if key in ("result", "error")}
+                if content["cell"] == cell and len(kept) == 1 and isinstance(kept.get("result", {}), dict):
+                    found[index] = kept
+            except (ProblemError, TypeError, KeyError):
+                continue
+        return found
+
+    def write(self, index: int, outcome: Outcome) -> Outcome:
+        """Store a cell's outcome.
+
+        Returns:
+            The outcome as `read` will return it.
+        """
+        if "result" in outcome:
+            outcome = {"result": {key: _value(value) for key, value in outcome["result"].items()}}
+        write_files(self.path, {f"cells/{index}.json": json.dumps({"cell": self.study.cells[index], **outcome},
+                                                                  allow_nan=False)})
+        return outcome
+
+
+def refuse(directory: Path, study: Study) -> None:
+    """Refuse a directory that holds another study.
+
+    Raises:
+        ProblemError: the directory holds another study; the message names the first setting that differs.
+    """
+    where, remedy = str(directory), "choose another directory with -o"
+    if directory.exists() and not directory.is_dir():
+        raise ProblemError("this is a file", where=where, remedy=remedy)
+    if not (directory / IDENTITY).exists():
+        if (directory / "cells").exists():
+            raise ProblemError(f"there are cells but no {IDENTITY}, so that their study is unknown", where=where,
+                               remedy=remedy)
+        return
+    try:
+        there = read_json(directory / IDENTITY, ProblemError)
+    except ProblemError:
+        raise ProblemError("the file cannot be read, so that the study of these cells is unknown",
+                           where=str(directory / IDENTITY), remedy=remedy) from None
+    different = _difference(there, study.identity)
+    if different:
+        raise ProblemError(f"this directory holds another study: {different}", where=where,
+                           remedy=f"repeat the settings in its {IDENTITY}, or {remedy}")
+
+
+def _difference(there: Mapping[str, Any], here: Mapping[str, Any], within: str = "") -> str:
+    """The first setting that differs, in words; "" if none does."""
+    for key in dict.fromkeys([*here, *there]):
+        old, new = there.get(key), here.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            if inner := _difference(old, new, f"{within}{key} "):
+                return inner
+        elif old != new:
+            return f"{within}{key} is {_short(old)} there and {_short(new)} here"
+    return ""
+
+
+def _short(value: object) -> str:
+    text = "absent" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:28]}...{text[-28:]}"
+
+
+def _value(value: Any) -> Value:
+    """A number or a word as JSON stores it, without loss; None for NaN and infinity."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    return float(value) if math.isfinite(value) else None

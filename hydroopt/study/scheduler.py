@@ -11,9 +11,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -22,10 +23,9 @@ from distributed import Client, Future, KilledWorker, Security, Worker, WorkerPl
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.interrupt import deferred
+from hydroopt.packages import versions
 from hydroopt.progress import Progress
-from hydroopt.study.cell import outcome
-from hydroopt.study.study import Outcome, Study, Values
-from hydroopt.versions import versions
+from hydroopt.study.study import Compute, Outcome, Study, Values, outcome
 
 PATIENCE, JOINING, PAUSE = 5.0, 60.0, 0.2
 """Time limits [s] for a scheduler to answer and for a worker to join, and the interval between status checks."""
@@ -58,9 +58,9 @@ def _cell(name: str, values: Values) -> Outcome:
     return found
 
 
-def computed(study: Study, indices: Sequence[int], scheduler: str,
-             say: Progress) -> Generator[tuple[int, Outcome]]:
-    """Outcomes of some cells, in the order in which they finish.
+@contextmanager
+def computing(study: Study, scheduler: str, say: Progress) -> Iterator[Compute]:
+    """What computes cells on the workers of a scheduler.
 
     Raises:
         ProblemError: there is no scheduler at the address, or its workers cannot be used.
@@ -70,16 +70,7 @@ def computed(study: Study, indices: Sequence[int], scheduler: str,
         work = _Work(study)
         _hand_out(client, work, scheduler, say)
         try:
-            suspects = []
-            for index, found in _finished(client, study, work.name, indices, say):
-                if found is None:
-                    suspects.append(index)
-                else:
-                    yield index, found
-            for index in suspects:  # one by one, so that a crash affects no other cell
-                for _, found in _finished(client, study, work.name, [index], say):
-                    yield index, found or {"error": f"cell {index}: the process that computed it died "
-                                           "repeatedly; check whether the memory suffices."}
+            yield partial(_finished, client, study, work.name, say=say)
         finally:
             if client.status == "running":
                 with suppress(OSError):  # the connection has just been lost

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from hydroopt.versions import versions
+from hydroopt.errors import HydrooptError
+from hydroopt.packages import versions
 
 Value = float | int | str | None
 """An input or output of a cell: a number, a word, or None where there is no number."""
 Values = Mapping[str, Value]
 Outcome = Mapping[str, Any]
 """Of one cell: ``{"result": {...}}``, or ``{"error": sentence}``."""
+Compute = Callable[[Sequence[int]], Iterator[tuple[int, Outcome | None]]]
+"""Computes cells by their indices: outcomes as they finish, None where the process that computed one died."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +64,19 @@ def seeds(seed: int, count: int) -> list[int]:
     """
     return [int(np.random.SeedSequence(seed, spawn_key=(k,)).generate_state(1, np.uint64)[0] >> 11)
             for k in range(count)]
+
+
+def outcome(function: Callable[..., Values], values: Values) -> Outcome:
+    """What a study's function returns for a cell's values, or why it returns nothing.
+
+    On one thread, so that it has the same bits wherever it is computed.
+
+    >>> outcome(lambda x: {"half": x / 2}, {"x": 3})
+    {'result': {'half': 1.5}}
+    """
+    os.environ["OMP_NUM_THREADS"] = "1"  # for compiled kernels
+    with threadpool_limits(limits=1):
+        try:
+            return {"result": dict(function(**values))}
+        except (HydrooptError, ArithmeticError, np.linalg.LinAlgError) as error:
+            return {"error": str(error)}

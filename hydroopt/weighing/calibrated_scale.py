@@ -16,16 +16,16 @@ from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
+from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.balances import undriven
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model, model_of
 from hydroopt.simulation.simulate import Trajectory, random_trajectory
 from hydroopt.spatial.inertia import Array
-from hydroopt.weighing.drifting_zeros import drifts, with_offsets
 from hydroopt.weighing.equations import Equations, equations
-from hydroopt.weighing.gaussian import Gaussian
-from hydroopt.weighing.scale import CarriedLoad, ForceReadings, Scale, Uncertain, axes_about
+from hydroopt.weighing.scale import CarriedLoad, ForceReadings, Gaussian, Scale, Uncertain, axes_about
 from hydroopt.weighing.smoothed_log import actuator_speeds, smoothed_log
 
 NEGLIGIBLE = 1e-3
@@ -197,3 +197,40 @@ def _readings(known: StoredInformation, found: GaussianPosterior, among: Array, 
     root = np.asarray(np.linalg.cholesky(information)).T
     pull = np.sum(predicted * (read - predicted), axis=1)
     return ForceReadings(among @ taken, Gaussian(root, np.asarray(np.linalg.solve(root.T, pull))), std)
+
+
+def with_offsets(model: Model) -> Model:
+    """The same model with an offset of each actuator that pressures measure, zero where the machine file states none.
+
+    >>> import hydroopt as ho
+    >>> crane = ho.Model("forestry_crane")
+    >>> sorted(set(with_offsets(crane).parameters.names) - set(crane.parameters.names))
+    ['rotator_motor.tau_offset', 'slewing_racks.tau_offset']
+    """
+    machine = model.machine
+    if all(each.friction.offset is not None for each in _read_by_pressures(machine)):
+        return model
+    stated = machine.model_copy(update={"cylinders": tuple(map(_with_offset, machine.cylinders)),
+                                        "motors": tuple(map(_with_offset, machine.motors))})
+    return Model(stated, actuator_inertia=model.actuator_inertia, calibrator=model.calibrator, terms=model.terms)
+
+
+def drifts(model: Model, std: float) -> Array:
+    """(p, a): what drifts of the pressures' zeros [Pa] do to the parameters of a model `with_offsets`, one column an
+    actuator, per standard deviation of each zero."""
+    read = _read_by_pressures(model.machine)
+    made = np.zeros((len(model.parameters), len(read)))
+    for k, each in enumerate(read):
+        at = model.parameters.index(f"{each.name}.{each.effort_symbol}_offset")
+        made[at, k] = std * float(np.linalg.norm([*each.effort_factors.values()]))
+    return made
+
+
+def _read_by_pressures(machine: Machine) -> tuple[Cylinder | Motor, ...]:
+    return tuple(each for each in machine.measured_actuators if isinstance(each, Cylinder | Motor))
+
+
+def _with_offset(actuator: Cylinder | Motor) -> Cylinder | Motor:
+    if not actuator.measured or actuator.friction.offset is not None:
+        return actuator
+    return actuator.model_copy(update={"friction": actuator.friction.model_copy(update={"offset": 0.0})})

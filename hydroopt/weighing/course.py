@@ -10,8 +10,8 @@ import numpy as np
 
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.equations import Equations
-from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.recursion import Recursion, Weighed
+from hydroopt.weighing.scale import Gaussian
 
 THRESHOLD = 30.0
 """Likelihood ratio (twice its logarithm) from which the load has changed."""

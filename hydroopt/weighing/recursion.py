@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.equations import Equations
-from hydroopt.weighing.gaussian import Gaussian
-from hydroopt.weighing.scale import CarriedLoad
+from hydroopt.weighing.scale import CarriedLoad, Gaussian
 
 RECENT = 20
 """Number of samples since which a change is sought: a small one shows late where forces are read badly."""

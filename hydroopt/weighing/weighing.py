@@ -11,19 +11,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.usability import TO_SCALE
+from hydroopt.estimation.dynamic.usability import TO_SCALE, scale_assumed
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable, row
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
 from hydroopt.weighing.equations import Equations, equations
@@ -181,33 +180,47 @@ class Weighing(Answer):
     def findings(self) -> tuple[Diagnostic, ...]:
         """Each load in a sentence, or that there is none."""
         if not self.loads:
-            return (Diagnostic(Kind.NO_LOAD_FOUND, (), {"begin": float(self.logs[0].t[0]),
-                                                        "end": float(self.logs[-1].t[-1])}),)
-        return tuple(Diagnostic(Kind.LOAD_WEIGHED, (each.name,), {
-            "mass": f"{each.mass:.0f} ± {NORMAL * each.mass_std:.0f}", "begin": each.begin, "end": each.end})
-            if each.ok else Diagnostic(Kind.LOAD_NOT_WEIGHABLE, (each.name,), {
-                "why": str(each.reading.status), "begin": each.begin, "end": each.end}) for each in self.loads)
+            return (Diagnostic.of("no load found", (), {
+                "begin": float(self.logs[0].t[0]), "end": float(self.logs[-1].t[-1])},
+                "No load was found from {begin:.1f} to {end:.1f} s: nothing differs from the tare.",
+                "The log must begin with the empty machine, and go on with a load."),)
+        return tuple(Diagnostic.of("load weighed", (each.name,), {
+            "mass": f"{each.mass:.0f} ± {NORMAL * each.mass_std:.0f}", "begin": each.begin, "end": each.end},
+            "{subject} weighs {mass} kg (95 %), carried from {begin:.1f} to {end:.1f} s.")
+            if each.ok else Diagnostic.of("load not weighable", (each.name,), {
+                "why": str(each.reading.status), "begin": each.begin, "end": each.end},
+                "{subject}, carried from {begin:.1f} to {end:.1f} s, cannot be weighed: {why}.",
+                "Move several joints for some seconds with it.") for each in self.loads)
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Whether readings contradict the calibrated model, and what is known of their scale."""
+        return tuple(self._diagnostics())
+
+    def _diagnostics(self) -> Iterator[Diagnostic]:
         worst = max((each.weighed.misfit for each in self.readings if each.status in (
             Weighable.CONTRADICTED, Weighable.TARING)), default=0.0)
-        contradicted = (Diagnostic(Kind.SCALE_CONTRADICTED, (), {"misfit": worst}),) if worst > CONTRADICTED else ()
-        assumed = (Diagnostic(Kind.FORCE_SCALE_ASSUMED),) if self.scale.exact else ()
-        return (*contradicted, *assumed, *self._wrong_readings())
-
-    def _wrong_readings(self) -> Iterator[Diagnostic]:
-        """Forces that are read too large or too small, by known loads."""
+        if worst > CONTRADICTED:
+            yield Diagnostic.of("readings contradict the scale's model", (), {"misfit": worst}, (
+                "Readings contradict the calibrated model: residuals are {misfit:.1f} times as large as expected."),
+                "Check where the load's centre of mass is (--centre, --centre-sigma), signs and channels of "
+                "pressures, that the machine was empty during the tare, the tool, and the calibration.",
+                Meaning.CONTRADICTION)
+        if self.scale.exact:
+            yield scale_assumed()
         readings = self.scale.readings
         if not self.scale.known_loads or readings is None:
             return
         for balance, part, variance in zip(self.scale.machine.balances, self.scale.read,
                                            np.diag(readings.too_large.covariance), strict=True):
             if abs(part) > max(WRONG_GAIN, WRONG_STD * np.sqrt(variance)):
-                yield Diagnostic(Kind.FORCE_SCALE_WRONG, (balance.name,), {
+                yield Diagnostic.of("scale of a force reading wrong", (balance.name,), {
                     "percent": f"{100 * abs(part):.1f} ± {100 * NORMAL * np.sqrt(variance):.1f}",
-                    "way": "large" if part > 0 else "small"})
+                    "way": "large" if part > 0 else "small"},
+                    "By the known load the force of {subject} is read {percent} % too {way}; the masses are corrected "
+                    "for it.",
+                    "Correct its piston areas or torque per pressure in the machine file, or its sensors' scale, and "
+                    "calibrate again.")
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:

@@ -15,6 +15,7 @@ from hydroopt import KinematicModel, Poses, calibration_problem, dump_machine, l
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
+from studies import closed_postures
 from studies.bench.goals import Row
 from studies.bench.process import HYDROOPT, Cost, measured
 
@@ -49,7 +50,7 @@ def calibration() -> list[Row]:
     print(f"{'poses':>8} {'CAT s':>8} {'ms/pose':>8}")
     for count in CHAINS:
         q = np.concatenate([
-            postures.random_postures(model, stage, count // 3, geometry=geometry, fixture=fixture, seed=k)
+            closed_postures.random_postures(model, stage, count // 3, geometry=geometry, fixture=fixture, seed=k)
             for k, stage in enumerate(machine.stages)])
         labels = [stage.name for stage in machine.stages for _ in range(count // 3)]
         table = postures.record(model, q, labels, ["ball"] * len(q), geometry=geometry)

@@ -14,7 +14,7 @@ from hydroopt.model.model import model_of
 from studies.bench.goals import Row
 
 MACHINES = ("cat215b", "wheel_loader")
-SWEEPS = 1000
+SWEEPS = 500
 """Of a long run: a hundred times as many as identification makes."""
 RUNS = 8
 """Long runs, each with random numbers of its own, that are averaged."""

@@ -9,14 +9,11 @@ import numpy as np
 import hydroopt
 from hydroopt import KinematicModel, calibration_problem, load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import optimum
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
-from hydroopt.excitation.calibrator.calibrator_design import CalibratorDesign
-from hydroopt.excitation.calibrator.construction import BRACKET, Construction, carrying
-from hydroopt.excitation.calibrator.design import design_calibrator, planned, search_of
-from hydroopt.excitation.calibrator.problem import CalibratorProblem
-from hydroopt.excitation.calibrator.program import JointProgram
-from hydroopt.excitation.calibrator.search import ROUNDS
+from hydroopt.excitation.selection.calibrator_design import CalibratorDesign, design_calibrator, planned
+from hydroopt.excitation.selection.calibrator_problem import BRACKET, CalibratorProblem, Construction, carrying
+from hydroopt.excitation.selection.calibrator_sizing import ROUNDS, Sizing
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.pose_table import simulate_poses
 
@@ -52,8 +49,8 @@ def problem_of(asked: dict[str, float] | None, **workshop: object) -> Calibrator
 def of_thesis(problem: CalibratorProblem) -> CalibratorDesign:
     """The thesis's calibrator, whose joints all turn as far as its farthest, with poses optimised by the same means."""
     construction = Construction((False, True, True), (problem.sensors[0],) * 3)
-    search, rng = search_of(problem, construction), np.random.default_rng(0)
-    search.program = JointProgram(search.problem, (), dict(problem.length_std), problem.workshop.clearance)
+    search, rng = Sizing(problem, construction), np.random.default_rng(0)
+    search.sizes = ()
     sized = search.refined(THESIS, rng, ROUNDS)
     assert sized is not None
     found = planned(problem, construction, sized, (), rng, 0)

@@ -7,6 +7,7 @@ import numpy as np
 from hydroopt import calibration_problem, load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 POSES = 120
 SWEEPS = {"stick_moves": (60, 115), "boom_moves": (-48, -8), "swing_moves": (-30, 30)}
@@ -41,7 +42,7 @@ class Machine:
     def swept(self, name, path, creep) -> np.ndarray:
         """Closed postures of a stage."""
         stage = self.stages[name]
-        q = postures.sweep(self.model, stage, path[:, None], geometry=self.geometry, fixture=self.fixture)
+        q = closed_postures.sweep(self.model, stage, path[:, None], geometry=self.geometry, fixture=self.fixture)
         if creep != "none":
             q = q.copy()
             for locked in stage.locked.keys() & DRIFT.keys():  # it goes on from where it was, until the joint moves

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from hydroopt import SolverError, load_machine, path_difference, solve
-from hydroopt.estimation.kinematic import joint, link_by_link
+from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.results.tables import number
@@ -101,7 +102,7 @@ def one_table(table, setup, poses) -> dict:
 def joint_errors(problem) -> np.ndarray:
     """Errors of `NAMES` by the joint estimate; NaN where it does not converge, since too few poses are left."""
     try:
-        theta = joint.maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))[0]
+        theta = maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))[0]
     except SolverError:
         return np.full(len(NAMES), np.nan)
     return errors(problem, theta)
@@ -173,7 +174,7 @@ def end_paths() -> dict:
                                                                      point).rms, 3) for point in ("stick", "grapple")}
     setup = Machine(creep="even")
     drift = setup.problem(setup.poses(0), with_drift(setup.machine, 0.3))
-    theta = joint.maximum_likelihood(drift, drift.start, guess_unsensed(drift, drift.start))[0]
+    theta = maximum_likelihood(drift, drift.start, guess_unsensed(drift, drift.start))[0]
     ours = nominal.with_values({name: float(theta[drift.parameters.index(name)]) for name in NAMES
                                 if ".locked." not in name and "ball" not in name})
     return results | {f"path_ours_as_table_5_{point}_m": round(path_difference(nominal, ours, motion, point).rms, 4)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import SolverError, calibration_problem
-from hydroopt.estimation.kinematic import joint
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import loop_fit
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
@@ -47,7 +47,7 @@ def triangles(setup) -> dict:
                 continue
             problem, unseen = told(setup, source, way)
             try:
-                theta, q = joint.maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))
+                theta, q = maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))
             except SolverError:
                 results[f"triangle_{source}_{way.replace(' ', '_')}_converged"] = False
                 continue

@@ -7,10 +7,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from hydroopt import Model, identification_problem, load_machine, random_trajectory, random_truth, simulate, solve
-from hydroopt.control.comparison import Comparison, compare
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, ModelVariant
-from hydroopt.control.outcome import FEEDFORWARD
-from hydroopt.control.setting import Setting
+from hydroopt.control.comparison import FEEDFORWARD, Comparison, compare
+from hydroopt.control.setting import COMPLETE, NOMINAL, REDUCED, TRUE, ModelVariant, Setting
 from hydroopt.limits.limits import Limits
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.drive_valves import random_numbers

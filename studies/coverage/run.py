@@ -16,7 +16,6 @@ from hydroopt import (
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.machine.machine import Machine
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.study.montecarlo import montecarlo
 from hydroopt.study.run import run as computed
@@ -66,7 +65,7 @@ def with_wrong_priors(machine: Machine, motion: Trajectory) -> dict:
         estimate = solve(identification_problem(machine, [simulate(model, motion, truth, seed=seed)]))
         rows = [(row, value) for row, value in zip(estimate.parameters.rows, truth, strict=True) if row.ci95]
         inside.append(np.mean([row.ci95[0] <= value <= row.ci95[1] for row, value in rows]))
-        suspect.append(bool(of_kind(estimate.diagnostics, Kind.PRIORS_CONTRADICTED, Kind.BODIES_CONTRADICTED)))
+        suspect.append(bool(of_kind(estimate.diagnostics, "priors contradicted", "prior of bodies contradicted")))
     believed = np.array(inside)[~np.array(suspect)]
     return {"wrong_priors_machines": SURPRISING, "wrong_priors_coverage": round(float(np.mean(inside)), 4),
             "wrong_priors_named": round(float(np.mean(suspect)), 4),

@@ -22,10 +22,8 @@ from hydroopt import (
 )
 from hydroopt.control.cascade import Cascade
 from hydroopt.control.closed_loop import simulate, tip
-from hydroopt.control.comparison import compare
-from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
-from hydroopt.control.outcome import FEEDFORWARD, LQG
-from hydroopt.control.setting import Setting
+from hydroopt.control.comparison import FEEDFORWARD, LQG, compare
+from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.control.valve_test import driven_test, valve_test

@@ -15,7 +15,8 @@ from hydroopt.excitation.motion.design import design, excitation_problem
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.kernels import native
 from hydroopt.limits.limits import Limits
-from hydroopt.machine.environment import Obstacle, Pump, Workspace
+from hydroopt.machine.environment import Obstacle, Pump
+from hydroopt.machine.links import Box
 from hydroopt.simulation import simulate as synthetic
 
 BASES = ("cat215b", "cat215b", "patu655_lift", "ur10")
@@ -58,7 +59,7 @@ def random_machine(rng: np.random.Generator) -> Machine:
     update["drives"] = tuple(d.model_copy(update={"max_torque": _maybe(rng, 30, 600)}) for d in machine.drives)
     update["pump"] = Pump(max_flow=float(10 ** rng.uniform(-5, -2))) if rng.random() < 0.6 else None
     corner, size = rng.uniform(-6, 2, 3), rng.uniform(1, 12, 3)
-    update["workspace"] = (Workspace(lower=tuple(corner), upper=tuple(corner + size)) if rng.random() < 0.25 else None)
+    update["workspace"] = (Box(lower=tuple(corner), upper=tuple(corner + size)) if rng.random() < 0.25 else None)
     update["ground"] = float(rng.uniform(-3, 0.5)) if rng.random() < 0.5 or machine.footprint else None
     update["obstacles"] = tuple(
         Obstacle(name=f"ball{k}", link="base", centre=tuple(rng.uniform(-5, 5, 3)), radius=float(rng.uniform(0.2, 3)))

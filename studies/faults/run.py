@@ -13,7 +13,6 @@ import numpy as np
 from hydroopt import Estimate, Log, Model, identification_problem, load_machine, solve
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
-from hydroopt.results.wording import CONTRADICTIONS, Kind
 from hydroopt.spatial.inertia import Array
 from studies.faults.injected import Kind as Fault
 from studies.faults.injected import listed, outside, truth
@@ -57,9 +56,9 @@ def cell(model: Model, kind: str, seed: int, *, intervals: bool = False) -> dict
 
 def _said(estimate: Estimate) -> list[list]:
     """Contradictions, spikes and lines: kind, name of the fault, and names of those that are tied with it."""
-    marks = {Kind.SPIKES: "spikes", Kind.LINE: "line"}
-    return [[str(d.kind), marks.get(d.kind, d.evidence.get("fault", "")), d.evidence.get("tied", [])]
-            for d in estimate.diagnostics if d.kind in {*CONTRADICTIONS, *marks}]
+    marks = {"spikes": "spikes", "line in the spectrum": "line"}
+    return [[d.kind, marks.get(d.kind, d.evidence.get("fault", "")), d.evidence.get("tied", [])]
+            for d in estimate.diagnostics if d.contradicts or d.kind in marks]
 
 
 @cache

@@ -31,10 +31,10 @@ import numpy as np
 import hydroopt as ho
 from hydroopt.cli import app
 from hydroopt.codegen import parameter_source
-from hydroopt.control.model_variants import nominal_of
+from hydroopt.control.setting import nominal_of
 from hydroopt.errors import LONGEST, HydrooptError
 from hydroopt.estimation.dynamic.stored_information import stored_information
-from hydroopt.excitation.motion.known import identified
+from hydroopt.excitation.motion.expected_accuracy import identified
 from hydroopt.simulation.pose_table import simulate_poses
 
 SHARE = 20

@@ -15,7 +15,6 @@ from hydroopt import Log, Model, load_machine, random_trajectory, random_truth, 
 from hydroopt.checks.plausibility import examine
 from hydroopt.machine.actuators import Drive
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from studies.patu_actuator.run import DATA as PATU
 from studies.patu_actuator.run import HERE as PATU_MAP
 from studies.show import table
@@ -43,7 +42,7 @@ def run() -> dict:
             add(outcomes, name, model, log_of(model, seed, rate))
     for title, machine, log in measured():
         model = Model(load_machine(machine))
-        false_alarms.append(bool(of_kind(examine(model, log), Kind.LOG_MISREAD)))
+        false_alarms.append(bool(of_kind(examine(model, log), "log misread")))
         add(outcomes, title, model, log)
     counts = {key: [found.count(one) for one in OUTCOMES] for key, found in outcomes.items()}
     table("Mistakes", ["log of", "mistake", *OUTCOMES], [[*key, *count] for key, count in counts.items()])
@@ -84,7 +83,7 @@ def log_of(model: Model, seed: int, rate: float) -> Log:
 
 def outcome(model: Model, spoilt: Log, meant: Log) -> str:
     """What is said of a spoilt log: its mistake alone, with others that look the same, another one, or nothing."""
-    found = of_kind(examine(model, spoilt), Kind.LOG_MISREAD)
+    found = of_kind(examine(model, spoilt), "log misread")
     if not found:
         return "silent"
     wrong = {name for name in spoilt.channels if not np.array_equal(spoilt.channels[name], meant.channels[name])}

@@ -11,13 +11,12 @@ from scipy.spatial.transform import Rotation
 from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.machine.actuators import Drive
-from hydroopt.machine.calibration_chain import Calibrator, Stage, Tracker
+from hydroopt.machine.calibration_chain import Calibrator, Stage
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.imus import Accelerometer, Imu
-from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.links import Joint, Link, Note
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Accelerometer, Imu, Sensor
+from hydroopt.machine.survey import Instrument, Tracker
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "hilti_flat"
 ARM = tuple(f"dsr_joint{k}" for k in range(1, 7))

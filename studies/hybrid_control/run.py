@@ -21,11 +21,10 @@ from hydroopt.control import closed_loop
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
-from hydroopt.control.loop_margins import response
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant
+from hydroopt.control.linear_plant import linearised, point, sampled
+from hydroopt.control.loops import response
 from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled_plant import linearised, point, sampled
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.model.contact import Wall

@@ -4,7 +4,7 @@ import control
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.control.linearisation import signals, state_space
+from hydroopt.control.linear_plant import signals, state_space
 from hydroopt.model.plant import Plant
 
 MACHINES = ("cat215b", "patu655_lift")

@@ -7,11 +7,10 @@ import numpy as np
 
 from hydroopt import load_machine, solve
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.accuracy import exact_lengths, machine_end
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.workspace import exact_lengths, machine_end
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel

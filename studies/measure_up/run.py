@@ -7,13 +7,12 @@ import numpy as np
 
 import hydroopt
 from hydroopt import KinematicModel, calibration_problem, load_machine
-from hydroopt.estimation.kinematic.calibrate import optimum
+from hydroopt.estimation.kinematic.accuracy import machine_end
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
-from hydroopt.estimation.kinematic.workspace import machine_end
-from hydroopt.excitation.poses.exchange import Sieve
-from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
-from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
-from hydroopt.excitation.poses.problem import PoseLabels, PoseProblem, calibration_of, pose_problem
+from hydroopt.excitation.selection.candidate_postures import Sieve
+from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readings, measure_up_problem
+from hydroopt.excitation.selection.pose_problem import PoseLabels, PoseProblem, calibration_of, pose_problem
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation import postures

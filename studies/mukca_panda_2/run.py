@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import calibration_problem, load_machine, read_pose_files, solve
+from hydroopt.estimation.kinematic.accuracy import prediction_test
 from hydroopt.estimation.kinematic.observability import linearise
-from hydroopt.estimation.kinematic.prediction import prediction_test
+from hydroopt.estimation.kinematic.pose_faults import SuspectKind
 from hydroopt.estimation.kinematic.residuals import predicted
-from hydroopt.estimation.kinematic.suspect import SuspectKind
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
 SHIFT = 1.959964

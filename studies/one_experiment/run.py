@@ -18,9 +18,7 @@ from hydroopt import (
     simulate,
     solve,
 )
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.estimation.combined.log_postures import postures
-from hydroopt.logs import sensors
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, postures
 from hydroopt.simulation.postures import close
 from hydroopt.simulation.simulate import Trajectory
 
@@ -180,4 +178,4 @@ def read(machine: Machine, chain: KinematicModel, q: np.ndarray,
     for k, joint in enumerate(chain.joints):
         sensor = machine.sensor(f"{joint}.q")
         if joint not in machine.joints and sensor is not None:
-            yield f"{joint}.q", sensors.measure(q[:, k], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
+            yield f"{joint}.q", sensor.read(q[:, k], rng)

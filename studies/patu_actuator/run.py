@@ -8,7 +8,6 @@ from hydroopt import hydraulic_problem, identification_problem, load_machine, re
 from hydroopt.estimation.hydraulic.estimate import free_run_fit
 from hydroopt.estimation.hydraulic.free_run import free_runs
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "patu_log_crane" / "patu_measured_100Hz.csv"
@@ -32,7 +31,8 @@ def run() -> dict | None:
                "p_rod_of_range": round(fit["lift_cylinder.p_rod"].of_range, 4),
                "air_beside_volume_reported": any(
                    {"lift_cylinder.volume_b", "lift_cylinder.air_b"} == set(each.subject) for each in of_kind(
-                       estimate.diagnostics, Kind.RATIO_OR_PRODUCT_ONLY, Kind.COMBINATION_ONLY))}
+                       estimate.diagnostics, "only a ratio or product identifiable",
+                       "only a combination identifiable"))}
     for name in ("rated_flow", "dead_band", "leakage"):
         k = problem.parameters.index(f"lift_cylinder.{name}")
         results[f"{name}_interval"] = "{:.3g} … {:.3g} {}".format(*found.ci95[k], problem.parameters.units[k])

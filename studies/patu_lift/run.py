@@ -7,7 +7,6 @@ import numpy as np
 from hydroopt import identification_problem, load_machine, read_log, solve
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from studies.patu_lift.tilt import with_tilt
 
 HERE = Path(__file__).parent
@@ -30,8 +29,9 @@ def run() -> dict | None:
         "nominal_residual": round(float(np.linalg.norm((force - nominal)[inside]) / np.linalg.norm(force[inside])), 4),
         "fit_residual": round(estimate.fit["train"]["all"].relative, 4),
         "least_squares_residual": round(free.fit["train"]["all"].relative, 4),
-        "friction_against_gravity_reported": any(found.evidence["effects"] == "Coulomb friction and gravity"
-                                                 for found in of_kind(estimate.diagnostics, Kind.CONFOUNDED)),
+        "friction_against_gravity_reported": any(
+            found.evidence["effects"] == "Coulomb friction and gravity"
+            for found in of_kind(estimate.diagnostics, "not separable in this motion")),
         "friction_std_without_prior_N": round(float(free.std[friction]), 0),
         "friction_std_with_prior_N": round(float(estimate.std[friction]), 0),
         **with_tilt(DATA)}

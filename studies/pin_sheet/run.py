@@ -3,9 +3,9 @@
 import numpy as np
 
 from hydroopt import load_machine, solve
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel

@@ -10,8 +10,7 @@ import numpy as np
 
 from hydroopt import KinematicModel, Machine, Poses, calibration_problem, load_machine, pose_problem, solve
 from hydroopt.errors import SolverError
-from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
-from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
+from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readings, measure_up_problem
 from hydroopt.results.status import Status
 from hydroopt.simulation.pose_table import simulate_poses
 from studies.show import table as show

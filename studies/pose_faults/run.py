@@ -8,6 +8,7 @@ import numpy as np
 
 from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
 from hydroopt.simulation import postures
+from studies import closed_postures
 from studies.pose_faults import few
 from studies.show import table
 
@@ -58,7 +59,7 @@ def closed_digger(machine, fault: str, rng: np.random.Generator) -> tuple[Poses,
     for name in model.parameters.names:  # the cylinders take no part
         if "cylinder" in name:
             truth[model.parameters.index(name)] = model.parameters.nominal[model.parameters.index(name)]
-    q = np.concatenate([postures.random_postures(model, stage, 40, geometry=truth, fixture=fixture,
+    q = np.concatenate([closed_postures.random_postures(model, stage, 40, geometry=truth, fixture=fixture,
                                                  seed=int(rng.integers(1 << 30))) for stage in machine.stages])
     stages = np.repeat([stage.name for stage in machine.stages], 40)
     sensed, begins = postures.sensed_joints(model), int(rng.integers(90, 110))

@@ -6,9 +6,9 @@ import time
 import numpy as np
 
 from hydroopt import load_machine, solve
-from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
+from hydroopt.excitation.selection.pose_problem import expected_uncertainty, pose_problem
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.simulation import postures
+from studies import closed_postures
 
 POSES = 120
 SWEEPS = {"stick_moves": (60, 115), "boom_moves": (-48, -8), "swing_moves": (-30, 30)}
@@ -31,7 +31,7 @@ def angles_only(machine):
 def sweeps(model) -> np.ndarray:
     """Every moving joint out and back, twice; the calibrator follows by least motion."""
     out_and_back = np.sin(np.linspace(0, 4 * np.pi, POSES))[:, None]
-    return closed(model, lambda stage, **where: postures.sweep(
+    return closed(model, lambda stage, **where: closed_postures.sweep(
         model, stage, np.radians(np.mean(SWEEPS[stage.name]) + np.ptp(SWEEPS[stage.name]) / 2 * out_and_back), **where))
 
 
@@ -47,7 +47,7 @@ def narrowed(machine):
 
 def random(model) -> np.ndarray:
     """As many random postures within the limits."""
-    return closed(model, lambda stage, **where: postures.random_postures(model, stage, POSES, **where))
+    return closed(model, lambda stage, **where: closed_postures.random_postures(model, stage, POSES, **where))
 
 
 def closed(model, postures_of) -> np.ndarray:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import KinematicModel, calibration_problem, load_machine, pose_problem, solve
-from hydroopt.estimation.kinematic.calibrate import optimum
+from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses

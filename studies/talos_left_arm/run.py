@@ -8,10 +8,11 @@ import numpy as np
 from hydroopt import calibration_problem, load_machine, read_poses, solve
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import gaps
-from hydroopt.machine.calibration_chain import Calibrator, Tracker
+from hydroopt.machine.calibration_chain import Calibrator
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "talos_left_arm"

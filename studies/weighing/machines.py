@@ -9,7 +9,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydroopt import Log, Model, ProblemError, random_trajectory, random_truth
-from hydroopt.logs import sensors
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.balances import undriven
 from hydroopt.model.carried_load import carried_load
@@ -184,8 +183,7 @@ class SimulatedMachine:
             zero = rng.normal(0.0, session.drift or 1e-300) if pressure else 0.0
             extra = session.noise.of(motion.t, sensor.std, rng, pulses) if pressure else 0.0
             white = 0.0 if pressure and session.noise.memory else sensor.accuracy
-            channels[channel] = sensors.measure(values + zero + extra, white, sensor.resolution, rng,
-                                                sensor.distribution)
+            channels[channel] = sensor.model_copy(update={"accuracy": white}).read(values + zero + extra, rng)
         return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
 
 

@@ -13,16 +13,15 @@ import hydroopt
 from hydroopt import KinematicModel, Model, Poses, calibration_problem
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.estimation.kinematic.calibrate import optimum
-from hydroopt.estimation.kinematic.workspace import machine_end
-from hydroopt.excitation.next.additions import Addition, equipped
-from hydroopt.excitation.next.goals import LoadGoal
-from hydroopt.excitation.next.measurements import Measurement
-from hydroopt.excitation.next.plan import plan_next
-from hydroopt.excitation.next.problem import WhatNextProblem, what_next_problem
-from hydroopt.excitation.next.sequence import State
-from hydroopt.excitation.poses.posture_readings import PostureReadings
-from hydroopt.excitation.poses.problem import PoseLabels, pose_problem
+from hydroopt.estimation.kinematic.accuracy import machine_end
+from hydroopt.estimation.kinematic.calibration import optimum
+from hydroopt.excitation.selection.additions import Addition, equipped
+from hydroopt.excitation.selection.goals import LoadGoal
+from hydroopt.excitation.selection.measurements import Measurement
+from hydroopt.excitation.selection.pose_problem import PoseLabels, pose_problem
+from hydroopt.excitation.selection.readings import PostureReadings
+from hydroopt.excitation.selection.what_next import plan_next
+from hydroopt.excitation.selection.what_next_problem import WhatNextProblem, what_next_problem
 from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine import Machine
@@ -111,7 +110,8 @@ def chosen(problem: WhatNextProblem, true: WhatNextProblem | None = None) -> lis
         left = room - cost.minutes * len(parts)
         done.add(cost.name)
         motions = tuple(parts) if step.measurement.motions else ()
-        work.append(Work(cost.name, step.measurement.q[list(parts)], motions))
+        q = np.zeros((0, 0)) if step.measurement.q is None else step.measurement.q[list(parts)]
+        work.append(Work(cost.name, q, motions))
     return work
 
 
@@ -138,26 +138,24 @@ def least(problem: WhatNextProblem, minutes: float = BUDGET - 15.0, steps: int =
 
 def expected(problem: WhatNextProblem, work: Sequence[Work]) -> dict[str, float]:
     """Standard deviations of the goals after some work, by the covariance that what-next computes."""
-    state = State(problem.knowledge, {})
+    known = problem.knowledge
     named, added = {each.name: each for each in problem.measurements}, {each.name for each in problem.additions}
     for each in work:
         if each.motions:
             for k in each.motions:
-                state = state.after(named["motion"], k)
+                known = known.after(named["motion"], k)
         elif each.owner in added:  # which the machine file does not state, in postures that are candidates
             for q in each.q:
-                state = state.after(named[each.owner],
+                known = known.after(named[each.owner],
                                     int(np.argmin(np.linalg.norm(named[each.owner].q - q, axis=1))))
         else:
-            state = State(state.knowledge.with_rows(rows_at(problem, each), slice(0, problem.knowledge.geometry),
-                                                    geometry_exact=False), state.taken)
-    return {name: goal.std(state.knowledge.covariance) for name, goal in zip(problem.targets, problem.goals,
-                                                                             strict=True)}
+            known = known.with_rows(rows_at(problem, each), np.arange(problem.knowledge.geometry), geometry_exact=False)
+    return {name: goal.std(known.covariance) for name, goal in zip(problem.targets, problem.goals, strict=True)}
 
 
 def rows_at(problem: WhatNextProblem, work: Work) -> np.ndarray:
     """Whitened rows (m, f) of readings in postures that are none of the candidates."""
-    _, readings, _ = problem.postures
+    readings = problem.postures[0].readings
     blank = PoseLabels(*(np.full(len(work.q), "") for _ in PoseLabels._fields))
     there = PostureReadings(pose_problem(problem.machine, 1, priors=True), readings, work.q, blank)
     wanted = np.array([each.owner == work.owner or each.kind == "transducer" for each in readings])
@@ -183,7 +181,7 @@ def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, 
     found = chain.parameters.nominal
     if read:
         owner = np.repeat([each.owner for each in read], [len(each.q) for each in read])
-        others = {each.owner for each in problem.postures[1] if each.kind != "transducer"}
+        others = {each.owner for each in problem.postures[0].readings if each.kind != "transducer"}
         channels = {name: np.where(owner == name.partition(".")[0], values, np.nan)
                     if name.partition(".")[0] in others else values for name, values in made.poses.channels.items()}
         channels = {name: values for name, values in channels.items() if np.isfinite(values).any()}

@@ -40,7 +40,7 @@ def test_numbers_that_are_not_finite_or_beyond_sense_are_refused(command, tmp_pa
 
 
 def test_a_grid_of_infinite_durations_is_refused(tmp_path, monkeypatch, capsys):
-    said = refusal(["study", "sweep", "patu655_lift", "--vary", "duration=10,inf", "-o", str(tmp_path / "out")],
+    said = refusal(["study", "montecarlo", "patu655_lift", "--vary", "duration=10,inf", "-o", str(tmp_path / "out")],
                    monkeypatch, capsys)
     assert "--vary duration" in said
 

@@ -133,16 +133,15 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     program = """
-import multiprocessing, os, pickle
-from hydroopt.interrupt import end_with_parent
+from hydroopt.processes import pool
 
 class ImportedForLong:
     def __reduce__(self):
         return eval, ("print(__import__('os').getpid(), flush=True) or __import__('time').sleep(100)",)
 
 if __name__ == "__main__":
-    work = pickle.dumps((print, (ImportedForLong(),)))
-    multiprocessing.get_context("spawn").Process(target=end_with_parent, args=(work,)).start()
+    with pool(1, print, ImportedForLong()) as crew:
+        crew.submit(bool).result()
 """
     (tmp_path / "program.py").write_text(program)
     with subprocess.Popen([sys.executable, str(tmp_path / "program.py")], stdout=subprocess.PIPE) as parent:

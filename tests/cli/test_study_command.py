@@ -67,7 +67,7 @@ def test_the_same_command_again_computes_nothing(montecarlo: tuple[Path, str]) -
 
 def test_an_interrupted_study_says_how_to_go_on(montecarlo: tuple[Path, str], tmp_path: Path,
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
     monkeypatch.setattr("hydroopt.study.processes.computed", interrupted)
     out = shutil.copytree(montecarlo[0], tmp_path / "out")
@@ -82,7 +82,7 @@ def test_an_interrupted_study_says_how_to_go_on(montecarlo: tuple[Path, str], tm
 
 
 def test_help_names_what_a_sweep_varies() -> None:
-    said = run("sweep", "--help")
+    said = run("montecarlo", "--help")
     assert all(name in said for name in VARIED)
 
 

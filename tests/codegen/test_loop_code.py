@@ -15,9 +15,8 @@ from hydroopt.codegen import self_test
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
-from hydroopt.control.feasibility import flow_demand
-from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled_plant import Reading
+from hydroopt.control.linear_plant import Reading
+from hydroopt.control.reference import Demands, Reference, flow_demand
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
 from hydroopt.model.model import Model

@@ -17,7 +17,7 @@ from fixtures import scale_fuzz
 from fixtures.library import NOT_FINITE, OK, OUT_OF_RANGE, write
 from fixtures.tiers import tiered
 from fixtures.tools import Tool, must
-from hydroopt.codegen.scale_code import scale_code
+from hydroopt.codegen.folder import scale_code
 from hydroopt.codegen.scale_tables import ScaleTables
 from hydroopt.model.carried_load import carried_load
 from hydroopt.weighing.calibrated_scale import scale

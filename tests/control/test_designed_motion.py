@@ -11,14 +11,13 @@ from typer.testing import CliRunner
 
 from hydroopt import Model, Plant, excitation_problem, load_machine, read_log, read_machine, solve
 from hydroopt.cli import app
-from hydroopt.control.feasibility import refuse_flow
-from hydroopt.control.reference import Reference
+from hydroopt.control.reference import Reference, refuse_flow
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.table import write_columns
-from hydroopt.model.flow_demand import demanded_flow
+from hydroopt.model.hydraulics import demanded_flow
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import Trajectory
 

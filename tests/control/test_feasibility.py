@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from hydroopt import Model, Plant, load_machine
-from hydroopt.control.feasibility import SPARE, flow_demand, refuse_unstable, steady_speeds
-from hydroopt.control.loop_margins import margins
-from hydroopt.control.sampled_plant import sampled
+from hydroopt.control.comparison import refuse_unstable
+from hydroopt.control.linear_plant import sampled
+from hydroopt.control.loops import margins
+from hydroopt.control.reference import SPARE, flow_demand, steady_speeds
 from hydroopt.errors import ProblemError
 from hydroopt.machine.environment import Pump
 

@@ -11,9 +11,9 @@ import pytest
 from hydroopt.control.cascade import Gains
 from hydroopt.control.closed_loop import simulate
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
-from hydroopt.control.model_variants import TRUE, ModelVariant
+from hydroopt.control.linear_plant import Reading
 from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled_plant import Reading
+from hydroopt.control.setting import TRUE, ModelVariant
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine_file import load_machine

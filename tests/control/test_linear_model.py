@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
-from hydroopt.control.linearisation import signals, state_space
+from hydroopt.control.linear_plant import signals, state_space
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import mode, sweeps, top_speed

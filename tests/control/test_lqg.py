@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_lyapunov
 
+from hydroopt.control.linear_plant import Point, linearised, sampled
+from hydroopt.control.linear_plant import point as steady_point
 from hydroopt.control.lqg import (
     BANDWIDTH_SHARE,
     FORCE_DRIFT,
@@ -22,8 +24,6 @@ from hydroopt.control.lqg import (
     reading_noise,
 )
 from hydroopt.control.reference import Demand, Preview
-from hydroopt.control.sampled_plant import Point, linearised, sampled
-from hydroopt.control.sampled_plant import point as steady_point
 from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine_file import load_machine

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.loop_margins import margins, response
-from hydroopt.control.loops import Loops
-from hydroopt.control.sampled_plant import sampled
+from hydroopt.control.linear_plant import sampled
+from hydroopt.control.loops import Loops, margins, response
 
 PERIOD = 0.02
 INTEGRATOR = control.ss(0, 1, 1, 0)

@@ -11,12 +11,10 @@ from fixtures.drives import crane, oiled, sloping, twin
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run, simulate
-from hydroopt.control.comparison import compare
+from hydroopt.control.comparison import FEEDFORWARD, LQG, compare
 from hydroopt.control.draws import draws
-from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
-from hydroopt.control.outcome import FEEDFORWARD, LQG
 from hydroopt.control.reference import Demand
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import _singular_values
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine

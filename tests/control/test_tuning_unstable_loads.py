@@ -11,8 +11,8 @@ from control import StateSpace, feedback
 from hydroopt import Model, Plant, load_machine
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import linear_feedback
-from hydroopt.control.loop_margins import margins
-from hydroopt.control.sampled_plant import Point, linearised, point, sampled
+from hydroopt.control.linear_plant import Point, linearised, point, sampled
+from hydroopt.control.loops import margins
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_inversion import Valves
 

@@ -21,7 +21,7 @@ from fuzzing import mutation
 from hydroopt.cli.new import _read as read_answers
 from hydroopt.cli.options import smoothing_of, treatment_of
 from hydroopt.codegen import parameter_source
-from hydroopt.control.model_variants import nominal_of, truth
+from hydroopt.control.setting import nominal_of, truth
 from hydroopt.errors import LONGEST, HydrooptError
 from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.logs.column_headers import map_of_header

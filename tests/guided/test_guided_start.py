@@ -16,8 +16,7 @@ from hydroopt.guided.kinds import KINDS
 from hydroopt.guided.machine_text import machine_text
 from hydroopt.guided.plane import OpenError, by_distances, turned
 from hydroopt.guided.question import AnswerError, Question
-from hydroopt.guided.side_geometry import MARGIN, STOP
-from hydroopt.guided.sketch import Sketch
+from hydroopt.guided.sketch import MARGIN, STOP, Sketch
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.status import Status

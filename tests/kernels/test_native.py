@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import itertools
 import logging
@@ -21,10 +22,9 @@ import pytest
 
 from hydroopt import cache
 from hydroopt.kernels import compiler as system
-from hydroopt.kernels import native, shared_library
+from hydroopt.kernels import native
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, source
-from hydroopt.kernels.shared_library import _kept
 from studies.first_contact import compilers
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")
@@ -181,13 +181,13 @@ def test_one_empty_cache_is_filled_by_many_at_once(folder: Path, compiled: list[
     x = ca.SX.sym("x")
     square, by = ca.Function("square", [x], [x * x + 1]), system.compiler()
     assert by is not None
-    place = cache.folder()
 
     def compiled_there(scratch: Path) -> Path:
         return by.compile(source(program(square)), scratch)
 
     with ThreadPoolExecutor(4) as pool:
-        libraries = list(pool.map(lambda _: _kept(place, "key", compiled_there), range(4)))
+        libraries = list(pool.map(lambda _: cache.kept(
+            "", 32 * "a", ".so", compiled_there, lambda library: ctypes.CDLL(str(library))), range(4)))
     kernels = [Kernel(library, square) for library in libraries]
     assert [list(kernel([X], len(X))[0].ravel()) for kernel in kernels] == [RIGHT] * 4
     assert {file.suffix for file in folder.iterdir()} == {".so"}
@@ -257,7 +257,7 @@ def test_other_systems_as_far_as_they_can_be_faked(
     monkeypatch.setenv("CC", str(command))
     monkeypatch.setattr(system, "FLAGS", system.flags(named, processor))
     if named == "Windows":  # processes without groups, and no shell to end them
-        monkeypatch.setattr(system, "os", SimpleNamespace(name="nt", environ=os.environ, path=os.path))
+        monkeypatch.setattr(system, "os", SimpleNamespace(**{**vars(os), "name": "nt"}))
     assert evaluated() == RIGHT
     assert len(compiled) == 1
     options = told.read_text().split()
@@ -334,6 +334,6 @@ def test_long_code_in_pieces_computes_the_same(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(native, "LONG", 100)
     monkeypatch.setattr(native, "PIECE", 5)
     assert "passed[1]" in source(program(made))
-    monkeypatch.setattr(shared_library.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
+    monkeypatch.setattr(system.cache, "folder", lambda _: (_ for _ in ()).throw(OSError("not kept")))
     (pieces,) = Runner().over(made, at)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-14)

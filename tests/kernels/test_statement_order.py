@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hydroopt.kernels.statement_order import quick
+from hydroopt.kernels.c_writer import quick
 
 
 def random_statements(seed: int) -> list[str]:

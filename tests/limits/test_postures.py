@@ -11,10 +11,10 @@ import pytest
 from hydroopt import KinematicModel, Model, Poses, load_machine, read_machine
 from hydroopt.checks.postures import check_postures
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.order import in_safe_order
-from hydroopt.excitation.poses.plan import PosePlan
-from hydroopt.excitation.poses.problem import PoseGroup, pose_problem
+from hydroopt.excitation.selection.candidate_postures import in_safe_order
+from hydroopt.excitation.selection.exchange import fedorov_exchange
+from hydroopt.excitation.selection.pose_plan import PosePlan
+from hydroopt.excitation.selection.pose_problem import PoseGroup, pose_problem
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.postures import PostureLimits
 from hydroopt.limits.reserves import DEFAULT, Reserves

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.logs.sensors import measure
 from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline, condition
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
-ACCURACY, STEP = np.deg2rad(0.1), 2 * np.pi / 2**14
-NOISE = Sensor(channels=("boom.q",), accuracy=ACCURACY, resolution=STEP).std
+SENSOR = Sensor(channels=("boom.q",), accuracy=np.deg2rad(0.1), resolution=2 * np.pi / 2**14)
+NOISE = SENSOR.std
 
 
 def sines(t, seed=0):
@@ -38,7 +37,7 @@ T = np.arange(1650) / 50
     (sines, 0.0035, 0.05), (rest_move_rest, 0.0012, 0.008)])
 def test_derivatives_of_noisy_motion(noise, motion, velocity, acceleration):
     q, qd, qdd = motion(T)
-    made = condition(T, measure(q, ACCURACY, STEP, np.random.default_rng(2)), None, SmoothingSpline(), noise)
+    made = condition(T, SENSOR.read(q, np.random.default_rng(2)), None, SmoothingSpline(), noise)
     inner = made.interior
     assert inner.mean() > 0.9
     assert rms(made.q[inner, 0] - q[inner]) < 0.5 * NOISE
@@ -85,14 +84,14 @@ def test_polynomials_of_second_order_pass_unchanged():
 
 
 def test_a_wrong_noise_statement_is_noticed():
-    made = condition(T, measure(sines(T)[0], ACCURACY, STEP, np.random.default_rng(5)), noise=NOISE / 10)
+    made = condition(T, SENSOR.read(sines(T)[0], np.random.default_rng(5)), noise=NOISE / 10)
     assert "does not agree" in made.notes[0] or made.bandwidth[0] > 5
 
 
 def test_time_grows_with_the_number_of_samples_only():
     t = np.arange(20_000) / 50
     q = np.column_stack([sines(t, seed)[0] for seed in range(3)])
-    noisy = measure(q, ACCURACY, STEP, np.random.default_rng(6))
+    noisy = SENSOR.read(q, np.random.default_rng(6))
     begin = time.perf_counter()
     condition(t, noisy, noise=[NOISE] * 3)
     assert time.perf_counter() - begin < 5
@@ -132,7 +131,7 @@ def test_what_cannot_be_done_is_refused(smoothing, t, error, word):
 
 
 def test_a_joint_without_stated_noise_is_cross_validated_alone():
-    noisy = measure(np.column_stack([sines(T)[0], sines(T, 1)[0]]), ACCURACY, STEP, np.random.default_rng(7))
+    noisy = SENSOR.read(np.column_stack([sines(T)[0], sines(T, 1)[0]]), np.random.default_rng(7))
     made = condition(T, noisy, noise=[np.nan, NOISE])
     assert "from cross-validation" in made.notes[0]
     assert "from the stated noise" in made.notes[1]

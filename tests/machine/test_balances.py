@@ -6,10 +6,10 @@ import pytest
 from pydantic import ValidationError
 
 from fixtures.drives import CRANE, crane, crossing
-from hydroopt.machine.cylinder_checks import check
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.machine.range_checks import check
 from hydroopt.model.model import Model
 
 

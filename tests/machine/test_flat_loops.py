@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.flat_loops import closed_flat
+from hydroopt.machine.calibrated_numbers import closed_flat
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
-from hydroopt.machine import cylinder_checks
+from hydroopt.machine import range_checks
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.joint_limits import INSIDE, _reach, within_strokes
+from hydroopt.machine.joint_limits import INSIDE, within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError
-from hydroopt.spatial.cylinder_triangle import Triangle
 
 
 def pin_distance(machine: Machine, joint: str, cylinder: str, angle: float) -> float:
@@ -36,7 +35,7 @@ def test_a_limit_is_the_end_of_the_stroke(joint: str, cylinder: str, changed: di
     length = pin_distance(machine, joint, cylinder, change.after[moved[0]] - inward * INSIDE)
     assert min(abs(length - part.dead_length), abs(length - part.dead_length - part.stroke)) < 1e-9
     assert narrower.link(joint).joint.range == change.after
-    cylinder_checks.check(narrower)
+    range_checks.check(narrower)
 
 
 def test_limits_within_strokes_stay() -> None:
@@ -50,12 +49,14 @@ def test_a_cylinder_that_fits_nowhere_keeps_the_limits() -> None:
 
 
 def test_a_stroke_beyond_the_folded_triangle_ends_at_its_other_end() -> None:
-    """The cylinder could be shorter than its pins ever are: rounding at the fold must not lose the limits."""
-    cylinder = ho.load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.401565854367422}).cylinders[0]
-    sides = Triangle(0.6183436519324543, 2.0225396480663735, -1.4034518494856405, -8.452260047490945e-05)
-    reach = _reach(cylinder, sides, -0.18)
-    assert reach is not None
-    np.testing.assert_allclose(reach, [np.radians(-55.1143138), -sides.offset], atol=1e-4)
+    """The cylinder could be shorter than its pins ever are: the limits end at the dead point, where they fold."""
+    machine = ho.load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.37}).with_joint_limits(
+        {"boom": (-0.9, 1.8)})
+    found = Geometry(machine).triangle(machine.cylinders[0])
+    assert found is not None
+    assert machine.cylinders[0].dead_length < float(found[1].moving - found[1].fixed)
+    _, (change,) = within_strokes(machine)
+    assert change.after[1] == pytest.approx(-float(found[1].offset), abs=2e-6)
 
 
 def test_one_of_two_opposed_cylinders_may_pass_its_dead_point() -> None:
@@ -73,11 +74,11 @@ def test_a_cylinder_that_two_joints_move_narrows_the_one_it_is_there_for() -> No
     loader = ho.load_machine("wheel_loader")
     longer = loader.with_values({"tilt_cylinder.dead_length": 0.99})
     with pytest.raises(ImpossibleError, match="'tilt_cylinder' would be"):
-        cylinder_checks.check(longer)
+        range_checks.check(longer)
     narrower, (change,) = within_strokes(longer)
     assert (change.joint, change.cylinder, change.others) == ("bucket", "tilt_cylinder", ("lift",))
-    cylinder_checks.check(narrower)
-    shortest = cylinder_checks.over_range(Geometry(narrower), narrower.cylinders[1]).lengths.min()
+    range_checks.check(narrower)
+    shortest = range_checks.over_range(Geometry(narrower), narrower.cylinders[1]).lengths.min()
     assert shortest == pytest.approx(0.99, abs=1e-5)
 
 
@@ -86,7 +87,7 @@ def test_a_joint_that_slides_is_narrowed_too() -> None:
     narrower, (change,) = within_strokes(crane)
     assert (change.joint, change.before) == ("telescope", (0.0, 1.1))
     assert 0 < change.after[0] < 0.02
-    cylinder_checks.check(narrower)
+    range_checks.check(narrower)
 
 
 def test_two_cylinders_of_one_joint_both_narrow_it() -> None:
@@ -95,4 +96,4 @@ def test_two_cylinders_of_one_joint_both_narrow_it() -> None:
     narrower, changes = within_strokes(backhoe)
     assert [change.cylinder for change in changes] == ["swing_cylinder_left", "swing_cylinder_right"]
     assert narrower.link("swing").joint.range == changes[1].after
-    cylinder_checks.check(narrower)
+    range_checks.check(narrower)

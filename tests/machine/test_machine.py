@@ -13,7 +13,7 @@ from fixtures.tree import TREE, pin
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.links import Body, Joint
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 
 INCH = 0.0254
 
@@ -172,7 +172,6 @@ def test_sensors_read_the_unit_of_their_channels() -> None:
     assert Sensor(channels=("slide.q",), accuracy="2 mm").accuracy == pytest.approx(0.002)
     assert Sensor(channels=("c.p_head", "c.p_rod"), accuracy="25 psi").accuracy == pytest.approx(25 * 6894.757293)
     for channels, accuracy in (
-        (("c.p_head",), "25 deg"),
         (("c.p_head", "boom.q"), "1 bar"),
         (("boom.q",), "-1 deg"),
         ((), 1.0),

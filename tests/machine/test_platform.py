@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from fixtures.drives import crossing, eight_legs
 from hydroopt.errors import MachineError
 from hydroopt.logs.forces_from_pressures import actuator_forces, forces
-from hydroopt.machine.cylinder_checks import spans
+from hydroopt.machine.balances import matched
 from hydroopt.machine.free_links import AXES
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine, read_machine
-from hydroopt.machine.matching import matched
+from hydroopt.machine.range_checks import spans
 from hydroopt.model.joints_from_readings import joints_from_readings, readings
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate

@@ -9,8 +9,7 @@ import pytest
 
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.robot_formats.bodies import CentralInertia
-from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, pose
+from hydroopt.machine.robot_formats.frames import CentralInertia, from_roll_pitch_yaw, pose
 from hydroopt.machine.robot_formats.machine_tree import machine_tree
 from hydroopt.machine.robot_formats.tree import Mimic, TreeJoint, one_tree
 from hydroopt.machine.robot_formats.writing import robot_files

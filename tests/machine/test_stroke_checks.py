@@ -48,8 +48,8 @@ def test_lengths_of_a_refusal_are_those_that_are_accepted() -> None:
             read_machine(bucket(-40, dead, end - dead))
 
 
-def test_an_open_triangle_states_them_too() -> None:
-    with pytest.raises(MachineError, match=r"is open at every bucket.*pin to pin"):
+def test_a_triangle_that_is_open_everywhere_states_them_too() -> None:
+    with pytest.raises(MachineError, match=f"would be .* m long at bucket = .*only be 3.000 to 3.500 m.*{NEEDED}"):
         read_machine(bucket(-40, 3.0, 0.5))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Link
+from hydroopt.machine.loops import Coupling
 from hydroopt.machine.machine import BASE, Machine
 from oracles.mujoco_loops import FLOATING, NEGLIGIBLE, MujocoLoops, in_space
 from oracles.pinocchio_tree import _inertia, _shift, _turn

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 from fixtures.pages import data_of, stands_alone, text_of
 from hydroopt import cli
 from hydroopt.errors import MachineError, SolverError
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.logs.poses import Poses
@@ -33,8 +32,8 @@ from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.json_file import COMMON
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable
-from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "data/mukca_panda_2"
@@ -54,7 +53,7 @@ def table(count: int, seed: int, scale: float = 0.3) -> Poses:
     geometry = model.parameters.nominal + scale * away * model.parameters.scale * np.array(
         ["cylinder" not in name for name in model.parameters.names])
     fixture = np.array(machine.fixtures[0].position)
-    q = [postures.random_postures(model, stage, count, geometry=geometry, fixture=fixture, seed=seed + k)
+    q = [closed_postures.random_postures(model, stage, count, geometry=geometry, fixture=fixture, seed=seed + k)
          for k, stage in enumerate(machine.stages)]
     stages = [stage.name for stage in machine.stages for _ in range(count)]
     return postures.record(model, np.concatenate(q), stages, ["ball"] * len(stages), geometry=geometry, seed=seed)
@@ -112,7 +111,7 @@ def test_json_is_what_was_agreed(left: Path) -> None:
     assert 0 < content["workspace"]["median_std"] <= content["workspace"]["largest_std"]
     assert {one["role"]: one["samples"] for one in content["inputs"]} == {"train": 45, "validation": 12}
     for one in content["diagnostics"]:
-        assert set(one) == {"kind", "subject", "evidence", "text", "remedy"}
+        assert set(one) == {"kind", "subject", "evidence", "text", "remedy", "meaning"}
         assert one["text"].endswith(".")
 
 
@@ -211,7 +210,7 @@ def test_what_is_not_determined_has_no_number() -> None:
     unknown = [one for one in answer.parameters.rows if one.value is None]
     assert all(one.identifiability in {"none", "combination"} for one in unknown)
     assert {one.name for one in unknown} == {
-        name for one in of_kind(answer.diagnostics, Kind.NOT_DETERMINED) for name in one.subject}
+        name for one in of_kind(answer.diagnostics, "not determined") for name in one.subject}
     content = answer.details()
     assert content["combinations"]
     assert content["conditioning"]["rank"] < content["conditioning"]["parameters"]
@@ -222,11 +221,11 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise MachineError("a dead point lies in the range", where="the calibrated machine", remedy="widen it")
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.read_machine", refuse)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.solution.read_machine", refuse)
     answer = replace(solved)  # without what was computed before
     answer.save(tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
-    assert "a dead point" in str(of_kind(answer.diagnostics, Kind.NO_CALIBRATED_MACHINE)[0])
+    assert "a dead point" in str(of_kind(answer.diagnostics, "no calibrated machine")[0])
     assert not any(step.action is Action.USE for step in answer.next_steps)
     monkeypatch.undo()
     assert solved.next_steps[-1].action is Action.USE
@@ -240,7 +239,7 @@ def test_a_calibration_that_writes_no_machine_says_so_first(tmp_path: Path, monk
         model, q, [""] * 20, [""] * 20, geometry=model.parameters.nominal,
         channels=postures.measured_channels(model), seed=1)))
     assert answer.status is Status.OK
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.within_strokes", Mock(
+    monkeypatch.setattr("hydroopt.estimation.kinematic.solution.within_strokes", Mock(
         side_effect=MachineError("a dead point lies in the range", where="lift", remedy="narrow its limits")))
     without = replace(answer)  # without what was computed before
     without.save(tmp_path)
@@ -275,7 +274,7 @@ def test_command_on_real_poses(tmp_path: Path) -> None:
     loaded = load(tmp_path)
     assert [each.as_dict() for each in loaded.parameters.rows] == content["parameters"]
     assert [each.as_dict() for each in loaded.diagnostics] == content["diagnostics"]
-    assert ("panda_mukca.toml" not in loaded.files()) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
+    assert ("panda_mukca.toml" not in loaded.files()) == bool(of_kind(loaded.diagnostics, "no calibrated machine"))
 
 
 @pytest.mark.slow
@@ -315,7 +314,7 @@ def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.Captur
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("no convergence", where="IPOPT", remedy="check the poses")
-    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrate.calibrate", fail)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.calibration.calibrate", fail)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "calibrate", *mukca("high"), "-o", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
         cli.main()

@@ -1,4 +1,4 @@
-"""Lines are thinned without losing peaks, and machines stand upright in their side view."""
+"""Machines stand upright in their side view."""
 
 import numpy as np
 import pytest
@@ -6,24 +6,7 @@ import pytest
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.model.vertical_plane import vertical_plane
-from hydroopt.plots.figures import thin
 from hydroopt.report.drawing import View, drawn
-
-
-def test_thinning_keeps_peaks_and_gaps() -> None:
-    x, y = np.linspace(0, 10, 100_001), np.zeros(100_001)
-    y[[12_345, 77_777]] = 5.0, -3.0
-    y[40_000:50_000] = np.nan
-    thin_x, thin_y = thin(x, y)
-    assert len(thin_x) <= 2002
-    assert np.all(np.diff(thin_x) >= 0)
-    assert (np.nanmax(thin_y), np.nanmin(thin_y)) == (5.0, -3.0)
-    assert np.isnan(thin_y[(thin_x > 4.1) & (thin_x < 4.9)]).all()
-
-
-def test_short_line_is_left_alone() -> None:
-    x = np.arange(10.0)
-    assert thin(x, x) == (x, x)
 
 
 @pytest.mark.parametrize(("name", "q", "joint", "tip"), [

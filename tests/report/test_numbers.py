@@ -6,7 +6,8 @@ import pytest
 
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import prose, words
-from hydroopt.report.panels import printed
+from hydroopt.report.panels import NUMBERS
+from hydroopt.report.tables import parameter
 from hydroopt.results.parameter_table import row
 
 
@@ -54,6 +55,8 @@ def test_sentences_show_commands_as_code_and_keep_units_on_the_line_of_their_num
 
 def test_parameters_are_printed_in_units_that_people_read() -> None:
     one = row("jack.leakage", "leakage", "m^3/(s*Pa)", nominal=1e-12, value=2e-12, std=1e-13, ci95=(1.8e-12, 2.2e-12))
-    unit, numbers = printed(one)
-    assert (unit, numbers.nominal, numbers.value, numbers.interval) == ("mL/(min·bar)", "6", "12.00", "10.80 … 13.20")
-    assert printed(row("boom.m", "mass", "kg", nominal=5.0))[0] == "kg"
+    shown = parameter(one, NUMBERS)
+    numbers = shown.numbers
+    assert (shown.unit, numbers.nominal, numbers.value, numbers.interval) == (
+        "mL/(min·bar)", "6", "12.00", "10.80 … 13.20")
+    assert parameter(row("boom.m", "mass", "kg", nominal=5.0), NUMBERS).unit == "kg"

@@ -14,16 +14,11 @@ from hydroopt.errors import ProblemError
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer, load
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
-from hydroopt.results.machine_wording import MACHINE_WORDS
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.pose_wording import POSE_WORDS
-from hydroopt.results.sensor_wording import SENSOR_WORDS
-from hydroopt.results.session_wording import SESSION_WORDS
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Purpose, Usable, Use
-from hydroopt.results.wording import WORDS, Kind
 
 
 class Example(Answer):
@@ -32,7 +27,9 @@ class Example(Answer):
     job = json_file.Job.IDENTIFICATION
     machine = load_machine("patu655_lift")
     machine_id, method, status = json_file.MachineId("crane", "", "ab" * 32), "sdp", Status.SUSPECT
-    diagnostics = (Diagnostic(Kind.WORSE_THAN_ZERO, ("lift_cylinder",), {"relative": 1.31}),)
+    diagnostics = (Diagnostic.of("worse than zero", ("lift_cylinder",), {"relative": 1.31}, (
+        "{subject} is predicted worse than by zero ({relative:.0f %} error)."),
+        "Check signs.", Meaning.CONTRADICTION),)
     parameters = ParameterTable([
         row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),
         row("lift.mc_z", "first moment", "kg*m", nominal=0.0, identifiability="none")])
@@ -128,8 +125,7 @@ def test_information_from_data_is_the_part_that_the_prior_does_not_explain() -> 
     assert row("a", "mass", "kg", prior_std=2.0).information_from_data is None
 
 
-def test_every_kind_has_words_and_is_found_by_kind() -> None:
-    assert {*WORDS, *MACHINE_WORDS, *POSE_WORDS, *SESSION_WORDS, *SENSOR_WORDS} == set(Kind)
+def test_diagnostics_are_found_by_kind_and_by_what_they_mean() -> None:
     found = Example.diagnostics
-    assert of_kind(found, Kind.WORSE_THAN_ZERO) == found
-    assert not of_kind(found, Kind.NO_VALIDATION)
+    assert of_kind(found, "worse than zero") == found == Example().contradictions
+    assert not of_kind(found, "no validation data")

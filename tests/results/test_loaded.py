@@ -15,8 +15,7 @@ import hydroopt as ho
 from hydroopt.checks.motion import check_motion
 from hydroopt.checks.postures import check_postures
 from hydroopt.control.comparison import compare
-from hydroopt.control.model_variants import ModelVariant, truth
-from hydroopt.control.setting import Setting
+from hydroopt.control.setting import ModelVariant, Setting, truth
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.results.answer import KINDS, Answer
 from hydroopt.simulation.pose_table import simulate_poses

@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.plan import PosePlan
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.exchange import fedorov_exchange
+from hydroopt.excitation.selection.pose_plan import PosePlan
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel

@@ -11,20 +11,15 @@ from scipy.signal import lfilter
 
 from hydroopt import Model, identification_problem, load_machine, random_truth, simulate, solve
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
-from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.dynamic import carried
-from hydroopt.simulation import postures
 from hydroopt.simulation.simulate import forces, random_trajectory
 from hydroopt.study.bootstrap import block_length, bootstrap, redrawn
 from hydroopt.study.bootstrap import summary as bootstrap_summary
 from hydroopt.study.montecarlo import montecarlo, unseen_error
 from hydroopt.study.montecarlo import summary as montecarlo_summary
-from hydroopt.study.multistart import multistart
-from hydroopt.study.multistart import summary as multistart_summary
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
 
@@ -171,29 +166,6 @@ def test_scatter_of_the_bootstrap_is_that_of_new_measurements(crane: Model) -> N
     # what one log states varies by a sixth, since few frequencies tell the noise where the parameters act
     stated = np.sqrt(np.mean([estimate.base_std**2 for estimate in again], axis=0))
     np.testing.assert_allclose(stated / scatter, 1.0, atol=0.25)
-
-
-@pytest.mark.slow
-def test_starts_within_the_confidences_lead_to_one_geometry() -> None:
-    machine = load_machine("cat215b")
-    model = KinematicModel(machine)
-    q = np.concatenate([postures.random_postures(
-        model, stage, 25, geometry=model.parameters.nominal, fixture=machine.fixtures[0].position, seed=k)
-        for k, stage in enumerate(machine.stages)])
-    labels = [stage.name for stage in machine.stages for _ in range(25)]
-    poses = postures.record(model, q, labels, ["ball"] * len(q), geometry=model.parameters.nominal)
-    study = multistart(machine, poses, cells=3, fixed={"ball.y": 0.0})
-    found = table(study)
-    summary = multistart_summary(study, found)
-    assert [(optimum["starts"], optimum["farthest_std"]) for optimum in summary["optima"]] == [(3, 0.0)]
-    problem = calibration_problem(machine, poses).fixing(**{"ball.y": 0.0})
-    assert {row["name"] for row in summary["parameters"]} == {
-        name for name, free in zip(problem.parameters.names, problem.free, strict=True) if free}
-    # a start elsewhere that ends elsewhere is an optimum of its own
-    far = dict(found.results[0])
-    far["cost"], far["boom.a"] = far["cost"] + 50.0, far["boom.a"] + 0.3
-    two = Table(found.cells, (*({"result": result} for result in found.results[:2]), {"result": far}))
-    assert [optimum["starts"] for optimum in multistart_summary(study, two)["optima"]] == [2, 1]
 
 
 @pytest.mark.parametrize("vary", [{"mass": [1.0]}, {"rate": []}, {"rate": [50.0, 50.0]}, {"accuracy": [float("nan")]}])

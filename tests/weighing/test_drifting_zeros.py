@@ -10,8 +10,7 @@ from fixtures.tiers import tiered
 from hydroopt.logs.forces_from_pressures import forces
 from hydroopt.model.carried_load import carried_load
 from hydroopt.results.json_file import MachineId
-from hydroopt.weighing.calibrated_scale import scale
-from hydroopt.weighing.drifting_zeros import drifts, with_offsets
+from hydroopt.weighing.calibrated_scale import drifts, scale, with_offsets
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.recursion import Recursion, expected, load_prior
 from hydroopt.weighing.scale import CarriedLoad, Scale, Uncertain

@@ -1,32 +1,47 @@
-"""The answer of a combined identification: an identification whose parameters have the geometry among them."""
+"""Geometry, bodies and friction together: the most probable ones of all readings, and their joint posterior.
+
+Unknown are the motion (the coefficients c of its splines), the geometry g with fixtures and angles of locked joints,
+and the parameters ψ of bodies and friction:
+
+    Σ ((q_read − q)/σ_q)² + λ/σ_q²·∫ q'''² dt + Σ |rows(g, q, calibrator)|² + Σ ((f − f(q, q̇, q̈, ψ, g))/σ_f)²
+        + ((g − g₀)/σ_g)² + …  →  min over c, g and ψ.
+
+`hydroopt.estimation.dynamic.fitted_motion` eliminates the motion, then g is eliminated from
+what is left: ``‖R·ψ − r‖²``, to which priors, constraints and samplers of ψ apply as to any other logs. With ψ known, g
+is Gaussian about a linear function of ψ, so that the posterior of ψ gives that of both, their correlation included.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeometry, postures
 from hydroopt.estimation.combined.problem import CombinedProblem
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside, NumbersGiven
+from hydroopt.estimation.dynamic.identification import WITH_PRIORS
+from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
-from hydroopt.estimation.dynamic.numbers_beside import NumbersGiven
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.training_logs import prepared
 from hydroopt.estimation.inference.identifiability import FULL
-from hydroopt.estimation.kinematic.calibration import Calibration
-from hydroopt.machine.calibrated_numbers import with_calibrated
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
+from hydroopt.machine.calibrated_numbers import closed_flat, standing_for, with_calibrated
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, number
 from hydroopt.results.verdict import Purpose, Use, determined
-from hydroopt.results.wording import CONTRADICTIONS
 from hydroopt.spatial.inertia import Array
 
 DETERMINED = 0.5
@@ -119,7 +134,7 @@ class CombinedEstimate(Estimate):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the readings of the geometry, then those of an `Estimate`."""
-        return (*of_kind(self.kinematics.diagnostics, *CONTRADICTIONS), *super().diagnostics)
+        return (*self.kinematics.contradictions, *super().diagnostics)
 
     @cached_property
     def misfit(self) -> Misfit | None:
@@ -163,3 +178,62 @@ class CombinedEstimate(Estimate):
         """As of an `Estimate`, and the covariance of all numbers [SI]."""
         names = (*self.numbers.names, *self.problem.parameters.names)
         return {**super().files(), COVARIANCE: covariance_csv(names, self.covariance)}
+
+
+def identify_with_geometry(problem: CombinedProblem, method: Method = "sdp", *, intervals: bool = True, seed: int = 0,
+                           **options: Any) -> CombinedEstimate:
+    """Solve the combined problem.
+
+    Args:
+        problem: what to solve.
+        method: ``sdp``, ``qp`` or ``nlp``, see `hydroopt.estimation.dynamic.identify.identify`.
+        intervals: whether to sample the posterior.
+        seed: of that sampling.
+        options: `tolerance`, as of `identify`.
+
+    Raises:
+        ProblemError: a log reads nothing of the geometry, or the method knows no confidences.
+        IdentifiabilityError: nothing determines a number of the geometry, or no joint moves.
+        SolverError: no trustworthy answer.
+    """
+    if method not in WITH_PRIORS:
+        raise ProblemError(f"method '{method}' knows no confidences, by which geometry and bodies are separated",
+                           where="geometry", remedy=f"use {', '.join(WITH_PRIORS)}")
+    nominal = problem.identification
+    kinematics = calibrate(postures(nominal.model.machine, nominal.experiments))
+    force = ForcesByGeometry(nominal.model, kinematics.problem.model.parameters.names)
+    about = _about(problem, _beside(nominal, force, kinematics), kinematics)
+    about = _about(problem, identify(about, method, intervals=False, **options).problem.beside, kinematics)
+    final = identify(about, method, intervals=intervals, seed=seed, **options)
+    return CombinedEstimate.of(final, problem, kinematics)
+
+
+def _about(problem: CombinedProblem, beside: Sequence[NumbersBeside], kinematics: Calibration) -> IdentificationProblem:
+    """The identification of the machine with a geometry, whose numbers are unknown about it."""
+    nominal, chain = problem.identification, kinematics.problem.model
+    machine = nominal.model.machine
+    theta = dict(zip(kinematics.problem.parameters.names, kinematics.theta.tolist(), strict=True))
+    theta |= dict(zip(beside[0].names, beside[0].value.tolist(), strict=True))
+    geometry = {name: theta[name] for name in chain.parameters.names}
+    calibrated = standing_for(machine.with_values(closed_flat(machine, geometry)), machine)
+    model = Model(calibrated, actuator_inertia=nominal.model.actuator_inertia, calibrator=nominal.model.calibrator,
+                  terms=nominal.model.terms)
+    train, held_out = ([prepared(data.log, model, problem.smoothing) for data in some]
+                       for some in (nominal.experiments, nominal.validation))
+    return replace(nominal, model=model, experiments=tuple(train), validation=tuple(held_out), fitted_motion=True,
+                   beside=tuple(beside))
+
+
+def _beside(problem: IdentificationProblem, force: ForcesByGeometry, kinematics: Calibration) -> list[LogGeometry]:
+    """The calibrated geometry for each experiment; numbers at a bound are held there."""
+    every = kinematics.problem
+    names, bound = np.array(every.parameters.names), kinematics.at_bound
+    held = every.fixing(**dict(zip(names[bound], kinematics.theta[bound].tolist(), strict=True)))
+    found, first = [], 0
+    for data in problem.experiments:
+        others = np.ones(len(every.poses), dtype=bool)
+        others[first : first + data.log.size] = False
+        own = kinematics.q[~others, len(every.model.machine.joints):]
+        found.append(LogGeometry(held.without(others), force, kinematics.theta, own))
+        first += data.log.size
+    return found

@@ -8,42 +8,133 @@ C·Σ·Cᵀ + R, and what the others may be is projected out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
+from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.numbers_beside import Forces, Readings
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.dynamic.fitted_motion import Linear
+from hydroopt.estimation.kinematic.observability import Linearised, linearise, shared_rows
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.kernels.expression_graph import program
+from hydroopt.kernels.native import Runner
+from hydroopt.logs.log import Log
+from hydroopt.logs.poses import Poses, joined
+from hydroopt.machine.calibration_chain import Stage
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.kinematics import coordinates
+from hydroopt.model.model import Model
+from hydroopt.model.regressor import Dynamics
 from hydroopt.spatial.inertia import Array
 
-BLIND = 1e-9
-"""Singular value, relative to the largest, below which an unread joint does not move the rows."""
+
+class ForcesByGeometry:
+    """Forces (r,) of a model's machine as a function of its motion (n,), ψ (p,) and numbers g (k,) of its geometry.
+
+    Attributes:
+        function: (q, qd, qdd[, pressure], psi, g) → the forces (r,), and their derivatives by q, qd, qdd (r, n), by ψ
+            (r, p) and by g (r, k); jumps of dry friction count as zero.
+    """
+
+    def __init__(self, model: Model, numbers: Sequence[str]) -> None:
+        own = coordinates(model.machine)
+        symbols = {name: ca.SX.sym(name) for name in numbers}
+        dynamics = Dynamics(Geometry(model.machine, symbols), own, model.terms, actuator_inertia=model.actuator_inertia)
+        psi, g = ca.SX.sym("psi", len(model.parameters)), ca.vertcat(ca.SX(0, 1), *symbols.values())
+        pressure = {"pressure": dynamics.pressure} if model.needs_pressure else {}
+        given = {**own._asdict(), **pressure, "psi": psi, "g": g}
+        force = dynamics.forces(psi)
+        outputs = [force, *(ca.jacobian(force, x) for x in (*own, psi, g))]
+        made = ca.Function("forces_by_geometry", [*given.values()], [ca.densify(x) for x in outputs], [*given],
+                           ["force", "by_q", "by_qd", "by_qdd", "by_psi", "by_g"])
+        self.function = program(made).function()
+        self._runner = Runner()
+
+    def over(self, *state: Array) -> list[Array]:
+        """The outputs of `function` at N samples of the motion, each (N, r, columns)."""
+        return self._runner.over(self.function, *state)
+
+    def at(self, data: Experiment, psi: Array, g: Array) -> Linear:
+        """The forces of an experiment, linearised about its motion, ψ (p,) and g (k,)."""
+        force, by_q, by_qd, by_qdd, by_psi, by_g = self.over(*data.inputs(), psi, g)
+        right = data.force - force[:, :, 0] + by_psi @ psi + by_g @ g
+        return Linear([by_q, by_qd, by_qdd], np.concatenate([by_g, by_psi], axis=2), right)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Whitened rows: residual (N, m), by the machine's joints (N, m, n), by all parameters (N, m, P) and by the
-    calibrator's joints (N, m, c); `inverse` (N, c, m) gives what unread joints change from what remains."""
+STAGE = "log"
+"""Stage that the samples of all logs belong to."""
 
-    left: Array
-    by_q: Array
-    by_numbers: Array
-    by_own: Array
-    inverse: Array
 
-    def projected(self) -> tuple[Array, Array, Array]:
-        """Residual and derivatives without what unread joints explain."""
-        blind = self.by_own @ self.inverse
+def postures(machine: Machine, experiments: Sequence[Experiment]) -> CalibrationProblem:
+    """The kinematic calibration from every sample of some logs: angles, lengths, places of the tip, and the loop that a
+    calibrator closes whose angles were read.
 
-        def rest(x: Array) -> Array:
-            return np.asarray(x - blind @ x)
+    A joint of the calibrator without readings is at rest if a stage of the machine file locks it and none moves it: its
+    angle is unknown, and drifts as the stage says. Otherwise it moves.
 
-        return rest(self.left[:, :, None])[:, :, 0], rest(self.by_q), rest(self.by_numbers)
+    Raises:
+        ProblemError: a log reads nothing of the geometry.
+    """
+    chain = KinematicModel(machine)
+    every = [_of_log(chain, data.log) for data in experiments]
+    return calibration_problem(_with_stage(machine, chain, every), joined(every))
+
+
+def _of_log(chain: KinematicModel, log: Log) -> Poses:
+    """The readings of a log that poses may have; where the calibrator's joints were read, its tip is in the fixture
+    nearest to where they place it."""
+    machine = chain.machine
+    accurate = {name for name in log.channels if (sensor := machine.sensor(name)) is not None and sensor.std > 0}
+    angles = {f"{joint}.q" for joint in chain.joints}
+    units = {f"{imu.name}.{axis}" for imu in machine.imus for axis in ("accel_x", "accel_y", "accel_z")}
+    rows = set(chain.channels) - units  # at rest they tell inclinations, in motion they do not
+    read = {name: values for name, values in log.channels.items()
+            if name in angles or (name in rows and name in accurate)}
+    own = {f"{joint}.q" for joint in chain.joints[len(machine.joints):]}
+    where = log.path or log.name
+    if not (own | rows) & read.keys():
+        raise ProblemError("the log reads nothing of the geometry but the joints' angles", where=where,
+                           remedy="record the calibrator's angles or lengths of cylinders, and state their accuracy")
+    fixture = ""
+    if own & read.keys():
+        if not machine.fixtures:
+            raise ProblemError("the calibrator was attached, but the machine file states no fixture that holds its tip",
+                               where=where, remedy=f"state it, or leave out {', '.join(sorted(own & read.keys()))}")
+        fixture = _nearest(chain, read)
+    count = log.size
+    return Poses(log.name, np.full(count, STAGE), np.full(count, fixture), t=log.t, channels=read,
+                 units={name: log.units[name] for name in read}, file=np.full(count, where), sha256={where: log.sha256})
+
+
+def _nearest(chain: KinematicModel, read: dict[str, Array]) -> str:
+    """The fixture nearest to the tip (median over the samples); joints that were not read stand in their middle."""
+    middle = [np.mean(link.joint.range) for link in chain.links if link.name in chain.joints]
+    q = np.column_stack([np.broadcast_to(read.get(f"{joint}.q", at), len(next(iter(read.values()))))
+                         for joint, at in zip(chain.joints, middle, strict=True)])
+    tip = np.nanmedian(chain.over(chain.tip, chain.parameters.nominal, q)[0][:, :, 0], axis=0)
+    return min(chain.machine.fixtures, key=lambda fixture: float(np.linalg.norm(tip - fixture.position))).name
+
+
+def _with_stage(machine: Machine, chain: KinematicModel, every: Sequence[Poses]) -> Machine:
+    """The machine with a stage that says what the calibrator's joints without readings did, if it was attached."""
+    if not any(np.any(poses.fixture != "") for poses in every):
+        return machine.model_copy(update={"stages": (*machine.stages, Stage(name=STAGE))})
+    unread = [joint for joint in chain.joints if not any(f"{joint}.q" in poses.channels for poses in every)]
+    moved = {joint for stage in machine.stages for joint in stage.moves}
+    locked = {joint: angle for stage in machine.stages for joint, angle in stage.locked.items()
+              if joint in unread and joint not in moved}
+    moves = tuple(joint for joint in unread if joint not in locked and joint not in machine.joints)
+    drift = max((stage.drift for stage in machine.stages if stage.locked.keys() & locked.keys()), default=0.0)
+    stage = Stage(name=STAGE, moves=moves, locked=locked, drift=drift)
+    return machine.model_copy(update={"stages": (*machine.stages, stage)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +166,9 @@ class LogGeometry:
     @property
     def known(self) -> Array:
         """Rows (·, k+1) of what the machine file states of the numbers, and of distances between fixtures."""
-        postures, rows = self.postures, []
-        for ends, length, sigma in zip(*(getattr(postures.distances, key) for key in ("ends", "length", "sigma")),
-                                       strict=True):
-            apart = self.theta[ends[0]] - self.theta[ends[1]]
-            row = np.zeros(len(self.theta))
-            row[ends[0]] = apart / np.linalg.norm(apart) / sigma
-            row[ends[1]] = -row[ends[0]]
-            rows.append(np.append(row[postures.free], (length - np.linalg.norm(apart)) / sigma
-                                  + row[postures.free] @ self.value))
-        for k, j in enumerate(np.flatnonzero(postures.free)):
-            if weight := postures.known[j]:
-                rows.append(weight * np.append(np.eye(len(self.names))[k], postures.parameters.nominal[j]))
-        return np.array(rows).reshape(-1, len(self.names) + 1)
+        rows, left = shared_rows(self.postures, self.theta)
+        by_free = rows[:, self.postures.free]
+        return np.column_stack([by_free, by_free @ self.value - left])
 
     @property
     def unread(self) -> NDArray[np.bool_]:
@@ -98,51 +179,40 @@ class LogGeometry:
     def _joints(self) -> int:
         return len(self.postures.model.machine.joints)
 
-    def readings(self, q: Array) -> Readings:
+    def readings(self, q: Array) -> Linear:
         """The readings about a motion (N, n) and the present numbers."""
-        left, by_q, by_numbers = self._linearised(q).projected()
-        by_free = by_numbers[:, :, self.postures.free]
-        return Readings(by_q, by_free, by_free @ self.value - left)
+        rows = self._linearised(q)
+        by_free = rows.jacobian[:, :, self.postures.free]
+        return Linear([rows.by_angles[:, :, : self._joints]], by_free, by_free @ self.value - rows.residual)
 
-    def forces(self, data: Experiment, psi: Array) -> Forces:
+    def forces(self, data: Experiment, psi: Array) -> Linear:
         """The forces of an experiment about its motion, ψ (p,) and the present numbers."""
         geometry = len(self.postures.model.parameters)  # fixtures and locked joints come behind, and do not matter
         made = self.force.at(data, psi, self.theta[:geometry])
         every = np.zeros((*made.right.shape, len(self.theta)))
-        every[:, :, :geometry] = made.by_numbers
+        every[:, :, :geometry], by_psi = np.split(made.by_common, [geometry], axis=2)
         held = np.where(self.postures.free, 0.0, self.theta)
-        return made._replace(by_numbers=every[:, :, self.postures.free], right=made.right - every @ held)
+        by_common = np.concatenate([every[:, :, self.postures.free], by_psi], axis=2)
+        return made._replace(by_common=by_common, right=made.right - every @ held)
 
     def moved(self, before: Array, after: Array, value: Array) -> Self:
         """With other numbers (k,), when the motion (N, n) has moved along: the calibrator's joints follow."""
         theta = self.theta.copy()
         theta[self.postures.free] = value
-        rows, layout = self._linearised(before), self.postures.layout
-        error = rows.left + rows.by_numbers @ (theta - self.theta) + np.einsum("nmj,nj->nm", rows.by_q, after - before)
-        change = -np.einsum("ncm,nm->nc", rows.inverse, error)
-        rest = error + np.einsum("nmc,nc->nm", rows.by_own, change)
-        read = layout.reading[:, self._joints:] - self._sigma**2 * np.einsum("nmc,nm->nc", rows.by_own, rest)
-        own = np.where(layout.sensed[:, self._joints:], read, self.own + change)
-        return replace(self, theta=theta, own=own)
+        given = np.zeros(self.postures.layout.reading.shape)
+        given[:, : self._joints] = after - before
+        q = self._linearised(before).followed(self._given, self._angles(before), theta - self.theta, given)
+        return replace(self, theta=theta, own=q[:, self._joints :])
 
-    @property
-    def _sigma(self) -> Array:
-        """(N, c) standard deviations of the calibrator's readings; 0 where there is none."""
-        return np.where(self.postures.layout.sensed, self.postures.angle_sigma, 0.0)[:, self._joints:]
+    @cached_property
+    def _given(self) -> CalibrationProblem:
+        """The postures with the machine's joints neither sensed nor moving: the motion that is fitted gives them."""
+        layout, own = self.postures.layout, np.arange(self.postures.layout.reading.shape[1]) >= self._joints
+        return replace(self.postures, layout=replace(
+            layout, sensed=layout.sensed & own, moving=layout.moving & own))
 
-    def _linearised(self, q: Array) -> _Rows:
-        postures, layout, n = self.postures, self.postures.layout, self._joints
-        used = np.flatnonzero(layout.present.any(axis=0))
-        rows, by_numbers, by_q = postures.rows(self.theta, postures.angles(self.theta, np.hstack([q, self.own])), used)
-        by_own, sensed = by_q[:, :, n:], layout.sensed[:, n:]
-        rows = rows + np.einsum("nmc,nc->nm", by_own, np.where(sensed, layout.reading[:, n:] - self.own, 0.0))
-        spread = (by_own * self._sigma[:, None, :] ** 2) @ by_own.transpose(0, 2, 1)
-        diagonal = np.arange(len(used))
-        spread[:, diagonal, diagonal] += np.where(layout.present[:, used], postures.row_sigma[:, used] ** 2, 1.0)
-        root = np.linalg.cholesky(spread)
-        white = np.linalg.solve(root, np.concatenate([rows[:, :, None], by_q[:, :, :n], by_own, by_numbers], axis=2))
-        c = by_own.shape[2]
-        own = white[:, :, 1 + n : 1 + n + c]
-        blind = own * layout.moving[:, None, n:]
-        inverse = np.linalg.pinv(blind, rcond=BLIND) if c else np.zeros((len(q), 0, len(used)))
-        return _Rows(white[:, :, 0], white[:, :, 1 : 1 + n], white[:, :, 1 + n + c :], own, inverse)
+    def _angles(self, q: Array) -> Array:
+        return self.postures.angles(self.theta, np.hstack([q, self.own]))
+
+    def _linearised(self, q: Array) -> Linearised:
+        return linearise(self._given, self.theta, self._angles(q))

@@ -11,7 +11,7 @@ from hydroopt.estimation.dynamic.training_logs import refuse_added
 from hydroopt.estimation.inference.listing import counted
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.notebook_card import Shown
 
 

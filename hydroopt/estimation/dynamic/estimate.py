@@ -26,12 +26,11 @@ from hydroopt.estimation.dynamic.training_logs import contradictions
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NextStep, Use
-from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +74,7 @@ class Estimate(Identification, Answer):
         # a cause of a misfit may move what friction does at reversals
         late = () if self.misfit is None or self.misfit.causes else reversals.diagnose(self)
         more = (*tested, *late, *diagnostics.diagnose(self))
-        split = diagnostics.short_stretches(self) if {each.kind for each in more} & CONTRADICTIONS else ()
+        split = diagnostics.short_stretches(self) if any(each.contradicts for each in more) else ()
         return (*self.of_logs, *split, *more)
 
     @cached_property
@@ -109,7 +108,7 @@ class Estimate(Identification, Answer):
     @property
     def refuted(self) -> bool:
         """Whether the logs contradict the machine file as they are read, so that no machine is saved."""
-        return bool(of_kind(self.of_logs, *REFUTATIONS))
+        return any(each.meaning is Meaning.REFUTATION for each in self.of_logs)
 
     @cached_property
     def machine(self) -> Machine:

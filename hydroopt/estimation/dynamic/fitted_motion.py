@@ -4,121 +4,156 @@ The motion of each joint is a quintic spline q(t) = B(t)·c. With parameters ψ 
 
     Σ ((q_measured − B·c)/σ_q)² + λ/σ_q²·∫ (B'''·c)² dt + Σ ((f − f(B·c, Ḃ·c, B̈·c, ψ))/σ_f)²  →  min over c and ψ.
 
-Gauss-Newton steps with exact derivatives solve it. A spline's coefficients meet only their neighbours, so that an
-orthogonal sweep along time (the square-root information filter of Bierman 1977) eliminates them one by one; what is
-left is ``‖R·ψ − r‖²``, the information of angles and forces about the parameters, the uncertainty of the motion
-included. Every estimator, prior and constraint applies to it as it does after smoothing.
+Gauss-Newton steps with exact derivatives solve it. A spline's coefficients meet only their neighbours, so that banded
+normal equations with a border give them as functions of the common unknowns; with these, all rows together are
+``‖R·ψ − r‖²``, the information of angles and forces about the parameters, the uncertainty of the motion included. Every
+estimator, prior and constraint applies to it as it does after smoothing.
 
-Numbers of the geometry may be unknown along with ψ (`numbers_beside`): they are the first common unknowns, so that the
-same sweep leaves what all readings say of both.
+Numbers g beside ψ, such as those of the geometry, may be unknown, too (`NumbersBeside`). What all rows leave is then a
+triangle for [g, ψ]: its first rows give g where ψ is known, with the covariance that is left then (`NumbersGiven`); the
+others are the information about ψ alone, in which g may be whatever is most probable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import pairwise
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.errors import SolverError
+from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside, NumbersGiven, Readings
-from hydroopt.estimation.inference.whitening import whitened
+from hydroopt.estimation.inference.whitening import whitening
+from hydroopt.estimation.motion.banded import Bordered, Rows
+from hydroopt.estimation.motion.paths import Spline, Support, motion
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
-DEGREE, ORDER = 5, 6
 FINER = 2.0
 """Ratio of the bandwidths of fitted and smoothed motion; the forces limit the fitted one."""
 KNOTS_PER_PERIOD = 2.0
 """Knots per period of the fastest motion admitted."""
 STEPS = 30
-TOGETHER = 16
-"""Intervals whose rows left for the parameters are folded at a time: few factorisations are faster than many."""
 CONVERGED = 1e-4
 """The fit has converged when a step moves the parameters by less than this part of their standard deviations."""
+SINGULAR = 1e-12
+"""Size of a diagonal entry, relative to its column, below which rows do not determine a number."""
 
 
-@cache
-def _cardinal() -> Array:
-    """(6, 6): powers 1, u, …, u⁵ to the six quintic B-splines of evenly spaced knots that are not zero at 0 ≤ u < 1."""
-    from scipy.interpolate import BSpline, PPoly  # noqa: PLC0415 (its import takes longer than most identifications)
+class Linear(NamedTuple):
+    """Readings of N samples, linearised: ``Σ_k by_motion[k]·δq⁽ᵏ⁾ + by_common·[g, ψ] = right``.
 
-    spline = BSpline.basis_element(np.arange(ORDER + 1.0))
-    pieces = PPoly.from_spline((spline.t, spline.c, DEGREE))
-    at = [int(np.searchsorted(pieces.x, DEGREE - j, side="right")) - 1 for j in range(ORDER)]
-    return np.column_stack([pieces.c[::-1, k] for k in at])  # the j-th of the six began DEGREE − j knots ago
-
-
-_GAUSS = np.polynomial.legendre.leggauss(3)
-
-
-def _splines(u: Array, derivative: int, spacing: float) -> Array:
-    """Values (N, 6) of the six splines' derivatives at places u (N,) in their knot interval."""
-    polynomials = _cardinal()
-    for _ in range(derivative):
-        polynomials = polynomials[1:] * np.arange(1, len(polynomials))[:, None]
-    return (u[:, None] ** np.arange(len(polynomials))) @ polynomials / spacing**derivative
-
-
-@dataclass(frozen=True, eq=False)
-class SplineStretch:
-    """The spline over one uninterrupted stretch: samples `span`, their knot intervals, and coefficients c (k, n).
-
-    `basis` are values and first and second derivatives of the six splines at each sample, `rough` the rows (3, 6) with
-    ``Σ (rough·c)² = ∫ q'''²`` over an interval.
+    By positions, speeds and accelerations (·, N, m, n), as far as they depend on them; by the first common unknowns
+    (N, m, c); and (N, m).
     """
 
-    span: slice
-    interval: NDArray[np.intp]
-    basis: tuple[Array, Array, Array]
-    rough: Array
-    coefficients: Array
+    by_motion: Sequence[Array]
+    by_common: Array
+    right: Array
 
-    @classmethod
-    def over(cls, t: Array, span: slice, spacing: float, joints: int) -> SplineStretch:
-        """With knots about `spacing` [s] apart."""
-        times = t[span]
-        count = max(1, round(float(times[-1] - times[0]) / spacing))
-        spacing = float(times[-1] - times[0]) / count
-        place = (times - times[0]) / spacing
-        interval = np.minimum(place.astype(np.intp), count - 1)
-        basis = [_splines(place - interval, order, spacing) for order in range(3)]
-        rough = _splines(0.5 + 0.5 * _GAUSS[0], 3, spacing) * np.sqrt(_GAUSS[1] / 2 * spacing)[:, None]
-        return cls(span, interval, (basis[0], basis[1], basis[2]), rough, np.zeros((count + DEGREE, joints)))
+
+class NumbersBeside(Protocol):
+    """Numbers g (k,) beside ψ, at some values, and the readings of one experiment that depend on them."""
 
     @property
-    def motion(self) -> list[Array]:
-        """q, qd and qdd (N, n)."""
-        around = self.coefficients[self.interval[:, None] + np.arange(ORDER)]
-        return [np.einsum("mk,mkj->mj", basis, around) for basis in self.basis]
+    def names(self) -> tuple[str, ...]:
+        """Of the numbers."""
+
+    @property
+    def value(self) -> Array:
+        """(k,) the numbers [SI]."""
+
+    @property
+    def known(self) -> Array:
+        """Rows (·, k+1) of [g, right side] with what is known beside the experiments, errors of size one."""
+
+    @property
+    def unread(self) -> NDArray[np.bool_]:
+        """(n,) True for joints of the machine whose position no channel reads itself."""
+
+    def readings(self, q: Array) -> Linear:
+        """The readings about a motion (N, n) and the present numbers, with independent errors of size one."""
+
+    def forces(self, data: Experiment, psi: Array) -> Linear:
+        """The forces of an experiment about its motion, ψ (p,) and the present numbers."""
+
+    def moved(self, before: Array, after: Array, value: Array) -> Self:
+        """With other numbers (k,), when the motion (N, n) has moved along."""
 
 
 @dataclass(frozen=True, eq=False)
-class Elimination:
-    """Eliminated coefficients of a stretch: rows that give each c from the next five and the common unknowns [g, ψ],
-    and what is left for these."""
+class NumbersGiven:
+    """Numbers g (k,) for given ψ: ``root·g + by_psi·ψ = right`` with independent errors of size one."""
 
-    rows: list[Array]
-    last: Array
+    names: tuple[str, ...]
+    root: Array
+    by_psi: Array
+    right: Array
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], rows: Array, where: str) -> NumbersGiven:
+        """From the first rows (k, k+p+1) of a triangle.
+
+        Raises:
+            IdentifiabilityError: they do not determine all numbers.
+        """
+        k = len(names)
+        weak = np.abs(np.diag(rows)) <= SINGULAR * np.max(np.abs(rows[:, :k]), axis=0, initial=0.0)
+        if np.any(weak):
+            raise IdentifiabilityError(f"nothing determines {', '.join(np.array(names)[weak])}", where=where,
+                                       remedy="state how far it may be off, or fix it")
+        return cls(names, rows[:, :k], rows[:, k:-1], rows[:, -1])
+
+    def at(self, psi: Array) -> Array:
+        """The most probable numbers (k,) or (N, k) for parameters ψ (p,) or (N, p)."""
+        left = self.right - psi @ self.by_psi.T
+        return np.asarray(np.linalg.solve(self.root, left.T).T)
+
+    @property
+    def slope(self) -> Array:
+        """(k, p) how the most probable numbers change with ψ."""
+        return np.asarray(-np.linalg.solve(self.root, self.by_psi))
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k) of the numbers where ψ is known."""
+        inverse = np.linalg.inv(self.root)
+        return np.asarray(inverse @ inverse.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The spline over one uninterrupted stretch: samples `span`, and which coefficients give the motion there."""
+
+    span: slice
+    path: Spline
+    support: Support
+
+    @classmethod
+    def over(cls, t: Array, span: slice, spacing: float, joints: int) -> Stretch:
+        """With knots about `spacing` [s] apart, at rest at zero."""
+        path = Spline.over(t[span], round(float(t[span][-1] - t[span][0]) / spacing), joints)
+        return cls(span, path, path.support(t[span]))
+
+    def rows(self, read: Linear, common: int) -> Rows:
+        """What was read along it, of all samples' readings, with so many common unknowns."""
+        own = read.by_common[self.span]
+        by_common = np.concatenate([own, np.zeros((*own.shape[:2], common - own.shape[2]))], axis=2)
+        return Rows(read.right[self.span], self.support.along([each[self.span] for each in read.by_motion]), by_common,
+                    self.support.first * self.path.coefficients.shape[1])
+
+
+class Elimination(NamedTuple):
+    """Normal equations of a stretch, which give its coefficients for any common unknowns [g, ψ], and the QR factor of
+    what all of its rows leave for these."""
+
+    equations: Bordered
     triangle: Array
-
-    def back(self, common: Array) -> Array:
-        """Steps (k, n) of the coefficients at which common unknowns are most probable."""
-        n = len(self.rows[0])
-        tail, width = np.append(-common, 1.0), ORDER * n
-        step = np.zeros((len(self.rows) + DEGREE, n))
-        step[-DEGREE:] = np.linalg.solve(self.last[:, n:width], self.last[:, width:] @ tail).reshape(DEGREE, n)
-        for i in range(len(self.rows) - 1, -1, -1):
-            row = self.rows[i]
-            known = row[:, width:] @ tail - row[:, n:width] @ step[i + 1 : i + ORDER].ravel()
-            step[i] = np.linalg.solve(row[:, :n], known)
-        return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +167,7 @@ class Fitted:
     angles: Array
     sigma: Array
     stiffness: Array
-    stretches: tuple[SplineStretch, ...]
+    stretches: tuple[Stretch, ...]
     beside: NumbersBeside | None = None
 
     @classmethod
@@ -150,16 +185,17 @@ class Fitted:
         stiffness = np.sqrt(rate) / (2 * np.pi * fastest) ** 3 / sigma
         edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
         spacing = 1 / (KNOTS_PER_PERIOD * float(np.max(fastest)))
-        stretches = tuple(SplineStretch.over(log.t, slice(a, b), spacing, angles.shape[1])
+        stretches = tuple(Stretch.over(log.t, slice(a, b), spacing, angles.shape[1])
                           for a, b in pairwise(edges))
         start = cls(data, angles, sigma, stiffness, stretches)
-        start = start._along([start._sweep(stretch, None, None) for stretch in stretches], np.zeros(0))
+        start = start._along(start._eliminated([start._angles(0 * angles)]), np.zeros(0))
         return replace(start, beside=beside, sigma=sigma if beside is None else np.where(beside.unread, np.inf, sigma))
 
     @property
     def motion(self) -> tuple[Array, Array, Array]:
         """q, qd and qdd (N, n)."""
-        q, qd, qdd = (np.concatenate(parts) for parts in zip(*[s.motion for s in self.stretches], strict=True))
+        q, qd, qdd = (np.concatenate(parts) for parts in zip(*(
+            motion(stretch.path, stretch.support)[:3] for stretch in self.stretches), strict=True))
         return q, qd, qdd
 
     @property
@@ -178,58 +214,49 @@ class Fitted:
         """(k,) the numbers beside ψ; empty without."""
         return np.zeros(0) if self.beside is None else self.beside.value
 
-    def moved(self, sweeps: Sequence[Elimination], common: Array, part: float = 1.0) -> Fitted:
-        """After `part` of the step that sweeps lead to with common unknowns [g, ψ]."""
-        made = self._along(sweeps, common, part)
+    def moved(self, eliminated: Sequence[Elimination], common: Array, part: float = 1.0) -> Fitted:
+        """After `part` of the step that is most probable with common unknowns [g, ψ]."""
+        made = self._along(eliminated, common, part)
         if self.beside is None:
             return made
         value = self.numbers + part * (common[: len(self.numbers)] - self.numbers)
         return replace(made, beside=self.beside.moved(self.motion[0], made.motion[0], value))
 
-    def _along(self, sweeps: Sequence[Elimination], common: Array, part: float = 1.0) -> Fitted:
-        return replace(self, stretches=tuple(replace(s, coefficients=s.coefficients + part * sweep.back(common))
-                                             for s, sweep in zip(self.stretches, sweeps, strict=True)))
+    def _along(self, eliminated: Sequence[Elimination], common: Array, part: float = 1.0) -> Fitted:
+        shape = (-1, self.angles.shape[1])
+        return replace(self, stretches=tuple(
+            replace(stretch, path=stretch.path.moved(part * one.equations.inner(common).reshape(shape)))
+            for stretch, one in zip(self.stretches, eliminated, strict=True)))
 
-    def sweeps(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Elimination]:
+    def _angles(self, q: Array) -> Linear:
+        """The readings of the angles about a motion (N, n)."""
+        by_q = np.tile(np.diag(1 / self.sigma), (len(q), 1, 1))
+        return Linear([by_q], np.zeros((*q.shape, 0)), (self.angles - q) / self.sigma)
+
+    def eliminated(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Elimination]:
         """Eliminate the motion from rows linearised at ψ, whose forces err by `covariance` (n, n) over `weights`."""
         data = self.experiment
-        rows = ForceRows.linearised(model, data, psi, covariance, weights, self.beside)
-        readings = None if self.beside is None else self.beside.readings(data.motion.q)
-        return [self._sweep(stretch, rows, readings) for stretch in self.stretches]
+        if self.beside is None:
+            (K, *_), force = data.equations(psi)
+            forces = Linear(model.over(model.force_by_motion, *data.inputs(), psi), K, force)
+        else:
+            forces = self.beside.forces(data, psi)
+        white = whitening(data.known, covariance)
+        if weights is not None:
+            white = white * np.sqrt(weights)[:, None, :]
+        right = white @ np.where(data.known, forces.right, 0.0)[:, :, None]
+        read = [self._angles(data.motion.q),
+                Linear([white @ by for by in forces.by_motion], white @ forces.by_common, right[:, :, 0])]
+        return self._eliminated(read if self.beside is None else [*read, self.beside.readings(data.motion.q)])
 
-    def _sweep(self, stretch: SplineStretch, forces: ForceRows | None, readings: Readings | None) -> Elimination:
-        n, p = self.angles.shape[1], 0 if forces is None else forces.by_common.shape[2]
-        width, unit = ORDER * n, np.eye(n)
-
-        def rows(values: Array, size: Array, right: Array) -> Array:
-            by_c = np.einsum("mk,ab->makb", values, unit * size).reshape(-1, width)
-            return np.hstack([by_c, np.zeros((len(by_c), p)), (right * size).reshape(-1, 1)])
-
-        count = len(stretch.coefficients) - DEGREE
-        starts = np.searchsorted(stretch.interval, np.arange(count + 1))
-        angles = self.angles[stretch.span]
-        left: Array = np.zeros((0, width + p + 1))
-        remaining: Array = np.zeros((p + 1, p + 1))
-        kept, pending = [], []
-        for i in range(count):
-            here, active = slice(starts[i], starts[i + 1]), stretch.coefficients[i : i + ORDER]
-            values = stretch.basis[0][here]
-            blocks = [left, rows(values, 1 / self.sigma, angles[here] - values @ active),
-                      rows(stretch.rough, self.stiffness, -stretch.rough @ active)]
-            inside = slice(stretch.span.start + here.start, stretch.span.start + here.stop)
-            if forces is not None:
-                blocks.append(forces.of(inside, [basis[here] for basis in stretch.basis]))
-            if readings is not None:
-                blocks.append(_reading_rows(readings, inside, values, p))
-            folded = triangle(*blocks, np.zeros((width, width + p + 1)))  # never fewer rows than coefficients
-            kept.append(folded[:n])
-            rest = folded[n:width]
-            left = np.hstack([rest[:, n:width], np.zeros((len(rest), n)), rest[:, width:]])
-            pending.append(folded[width:, width:])
-            if len(pending) == TOGETHER or i == count - 1:
-                remaining = triangle(remaining, *pending)
-                pending = []
-        return Elimination(kept, rest, remaining)
+    def _eliminated(self, read: Sequence[Linear]) -> list[Elimination]:
+        found, common = [], max(each.by_common.shape[2] for each in read)
+        for stretch in self.stretches:
+            path = stretch.path
+            blocks = [path.jerk(self.stiffness, common), *(stretch.rows(each, common) for each in read)]
+            equations = Bordered.of(blocks, path.coefficients.size, path.width * path.coefficients.shape[1], common)
+            found.append(Elimination(equations, triangle(*map(equations.projected, blocks))))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +267,7 @@ class FittedMotion:
     """
 
     fitted: Sequence[Fitted]
-    sweeps: Sequence[list[Elimination]]
+    eliminated: Sequence[list[Elimination]]
     psi: Array
     R: Array
     r: Array
@@ -250,54 +277,11 @@ class FittedMotion:
     def motion(self, psi: Array) -> list[Fitted]:
         """The motions that are most probable with parameters ψ (p,)."""
         common = _common(self.numbers, psi)
-        return [one.moved(some, common) for one, some in zip(self.fitted, self.sweeps, strict=True)]
+        return [one.moved(some, common) for one, some in zip(self.fitted, self.eliminated, strict=True)]
 
     def experiments(self, psi: Array) -> tuple[Experiment, ...]:
         """The experiments with these motions."""
         return tuple(one.experiment for one in self.motion(psi))
-
-
-@dataclass(frozen=True, eq=False)
-class ForceRows:
-    """Forces of an experiment linearised in motion and common unknowns, (N, …); `taken` (N, n) states which count."""
-
-    by_motion: Array
-    by_common: Array
-    right: Array
-    taken: NDArray[np.bool_]
-    covariance: Array
-
-    @classmethod
-    def linearised(cls, model: Model, data: Experiment, psi: Array, covariance: Array,
-                   weights: Array | None, beside: NumbersBeside | None) -> ForceRows:
-        """At the experiment's motion, at ψ and at the numbers beside it: ``by_motion·δ + by_common·[g, ψ] = right``."""
-        if beside is None:
-            by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
-            (by_common, *_), right = data.equations(psi)
-        else:
-            by_motion, by_psi, by_numbers, right = beside.forces(data, psi)
-            by_common = np.concatenate([by_numbers, by_psi], axis=2)
-        root = np.ones_like(right) if weights is None else np.sqrt(weights)
-        return cls(by_motion * root[:, :, None, None], by_common * root[:, :, None], right * root, data.known,
-                   covariance)
-
-    def of(self, span: slice, basis: list[Array]) -> Array:
-        """Rows (·, 6n+p+1) of independent errors of size one, by coefficients, p common unknowns and right side."""
-        by_c = sum(np.einsum("mk,mab->makb", values, self.by_motion[span, :, order])
-                   for order, values in enumerate(basis))
-        m, n = self.right[span].shape
-        block = np.concatenate([by_c.reshape(m, n, -1), self.by_common[span], self.right[span][:, :, None]], axis=2)
-        return whitened(block, self.taken[span], self.covariance)
-
-
-def _reading_rows(readings: Readings, span: slice, basis: Array, common: int) -> Array:
-    """Rows (·, 6n+p+1) of some samples' readings, by coefficients, p common unknowns and right side."""
-    by_q, by_numbers = readings.by_q[span], readings.by_numbers[span]
-    samples, m, k = by_numbers.shape
-    by_c = np.einsum("mk,mab->makb", basis, by_q).reshape(samples, m, -1)
-    block = np.concatenate([by_c, by_numbers, np.zeros((samples, m, common - k)), readings.right[span][:, :, None]],
-                           axis=2)
-    return np.asarray(block.reshape(samples * m, -1))
 
 
 def initial_guess(model: Model, experiments: Sequence[Experiment],
@@ -325,9 +309,9 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
     """
     part, last = 1.0, np.inf
     for _ in range(STEPS):
-        sweeps = [one.sweeps(model, psi, covariance, None if weights is None else weights[k])
-                  for k, one in enumerate(fitted)]
-        whole = _joined([sweep for some in sweeps for sweep in some], fitted[0].beside)
+        eliminated = [one.eliminated(model, psi, covariance, None if weights is None else weights[k])
+                      for k, one in enumerate(fitted)]
+        whole = _joined([each for some in eliminated for each in some], fitted[0].beside)
         numbers = None if fitted[0].beside is None else NumbersGiven.of(
             fitted[0].beside.names, whole[: len(fitted[0].numbers)], where)
         R, r, rest = split(whole[len(fitted[0].numbers):, len(fitted[0].numbers):])
@@ -336,9 +320,9 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
         length = float(np.linalg.norm(whole[:-1, :-1] @ (common - np.concatenate([fitted[0].numbers, psi]))))
         part = 1.0 if length < last else part / 2  # the step before was too long
         if length < CONVERGED:
-            return FittedMotion(fitted, sweeps, target, R, r, rest, numbers)
+            return FittedMotion(fitted, eliminated, target, R, r, rest, numbers)
         psi = psi + part * (target - psi)
-        fitted = [one.moved(some, common, part) for one, some in zip(fitted, sweeps, strict=True)]
+        fitted = [one.moved(some, common, part) for one, some in zip(fitted, eliminated, strict=True)]
         last = length
     raise SolverError(f"the fit of motion and parameters did not converge in {STEPS} steps", where=where,
                       remedy="smooth the motion instead, or state the sensors' accuracy and the machine's bandwidth")
@@ -349,9 +333,9 @@ def _common(numbers: NumbersGiven | None, psi: Array) -> Array:
     return psi if numbers is None else np.concatenate([numbers.at(psi), psi])
 
 
-def _joined(sweeps: Sequence[Elimination], beside: NumbersBeside | None) -> Array:
+def _joined(eliminated: Sequence[Elimination], beside: NumbersBeside | None) -> Array:
     """The triangle of all common unknowns [g, ψ] and the right side, with what is known beside the experiments."""
-    rows = [sweep.triangle for sweep in sweeps]
+    rows = [each.triangle for each in eliminated]
     if beside is not None:
         known = np.zeros((len(beside.known), rows[0].shape[1]))
         known[:, : len(beside.names)], known[:, -1] = beside.known[:, :-1], beside.known[:, -1]

@@ -24,9 +24,9 @@ from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.actuators import Actuator, Cylinder
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array

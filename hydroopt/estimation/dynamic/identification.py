@@ -24,10 +24,10 @@ from hydroopt.estimation.inference.identifiability import (
     Confounded,
     Identifiability,
 )
-from hydroopt.estimation.inference.least_squares import RidgeStrength
+from hydroopt.estimation.inference.least_squares import RidgeStrength, deviations
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, Refuted, prior_test
-from hydroopt.estimation.inference.priors import with_priors
+from hydroopt.estimation.inference.priors import prior_squares
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters.dynamic import bodies, carried, owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -131,7 +131,12 @@ class Identification:
         stated = self.problem.parameters.prior_std
         if not self.uses_priors:
             return np.full_like(stated, np.nan)
-        return with_priors(self.problem.parameters, self.problem.priors) if self.problem.priors else stated
+        if not self.problem.priors:
+            return stated
+        parameters = self.problem.parameters
+        rows, _ = prior_squares(parameters.information, parameters.nominal, self.problem.priors)
+        std = deviations(rows, parameters.scale)
+        return np.where(np.isfinite(std), std, np.nan)
 
     @property
     def sigma(self) -> Array:

@@ -17,8 +17,12 @@ from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.reduced_model import most_probable
 from hydroopt.estimation.dynamic.training_logs import contradictions, explained
-from hydroopt.estimation.dynamic.uncertain_gains import with_uncertain_gains
-from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
+from hydroopt.estimation.dynamic.weighted_residuals import (
+    WeightedResiduals,
+    misfit,
+    weighted_residuals,
+    with_uncertain_gains,
+)
 from hydroopt.estimation.inference import convex_program, identifiability
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
@@ -243,8 +247,8 @@ def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability
     return replace(estimate, tolerance=tolerance, ridge=ridge, ridge_strength=strength)
 
 
-def _constrained_estimate(weighted: Weighted, method: str, solution: convex_program.Optimum, from_data: Identifiability,
-                          tolerance: float, intervals: bool, seed: int) -> Estimate:
+def _constrained_estimate(weighted: Weighted, method: str, solution: convex_program.Optimum,
+                          from_data: Identifiability, tolerance: float, intervals: bool, seed: int) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)

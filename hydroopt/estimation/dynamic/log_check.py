@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,27 +11,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.estimation.dynamic import usability
-from hydroopt.estimation.dynamic.diagnostics import short_stretches, uncertain_positions
+from hydroopt.estimation.dynamic.diagnostics import NOT_EXCITED, not_identified, short_stretches, uncertain_positions
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
-from hydroopt.estimation.dynamic.training_logs import forces_not_measured
-from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Identifiability
+from hydroopt.estimation.dynamic.training_logs import FORCE_NOT_MEASURED, forces_not_measured
+from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, Identifiability
+from hydroopt.estimation.inference.least_squares import deviations
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, in_samples, of_kind
 from hydroopt.results.json_file import Job
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "weighted least squares"
@@ -97,35 +97,17 @@ class LogCheck(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file, what looks wrong in the logs, and what the motion does not excite."""
+        experiments = self.problem.experiments
         return (*machine_diagnostics(self.problem.model), *self.rough.of_logs, *uncertain_positions(self.rough),
-                *self._findings(), *self._not_excited())
-
-    def _findings(self) -> Iterator[Diagnostic]:
-        yield from forces_not_measured(self.problem.model, self.problem.experiments)
-        for data in self.problem.experiments:
-            for each in data.log.findings:
-                yield Diagnostic(Kind.FINDING, (data.log.path or data.log.name,), {"text": each.text})
-
-    def _not_excited(self) -> Iterator[Diagnostic]:
-        names, rough = self.problem.parameters.names, self.rough
-        for kind, missing in ((Kind.NOT_EXCITED, [name for k, name in enumerate(names)
-                                                  if rough.category(k) == "not excited"]),
-                              (Kind.NOT_IDENTIFIABLE, [name for k, name in enumerate(names)
-                                                       if rough.structural.category[k] == NONE])):
-            if missing:
-                yield Diagnostic(kind, tuple(missing))
+                *forces_not_measured(self.problem.model, experiments), *(in_samples(
+                    data.log.path or data.log.name, each.text) for data in experiments for each in data.log.findings),
+                *not_identified(self.rough))
 
     @cached_property
     def std(self) -> Array:
         """Standard deviations (p,) to expect, by the logs and the machine file's confidences; infinite without both."""
-        parameters, R = self.problem.parameters, self.rough.weighted_residuals.R
-        rows = np.vstack([R, self.problem.square_rows[0]]) * parameters.scale
-        _, values, axes = np.linalg.svd(rows, full_matrices=False)
-        kept = values > 1e-9 * values[0]
-        with np.errstate(divide="ignore"):
-            spread = np.linalg.norm(axes[kept] / values[kept, None], axis=0)
-        lost = np.max(np.abs(axes[~kept]), axis=0, initial=0.0) > 1e-6
-        return np.asarray(parameters.scale * np.where(lost, np.inf, spread))
+        rows = np.vstack([self.rough.weighted_residuals.R, self.problem.square_rows[0]])
+        return deviations(rows, self.problem.parameters.scale)
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -158,17 +140,16 @@ class LogCheck(Answer):
         machine = self.problem.model.machine.source
         read = "".join(f" {option} {shlex.quote(value)}" for option, value in self.options)
         mapped = "".join(f" {option} {shlex.quote(value)}" for option, value in self.options if option in OF_EXCITE)
-        for each in self.diagnostics:
-            if each.kind is Kind.FORCE_NOT_MEASURED:
-                steps.append(NextStep(Action.MEASURE, (
-                    f"Map or record {each.evidence['channels']}: without, no equation of "
-                    f"{', '.join(each.subject)} counts.")))
+        for each in of_kind(self.diagnostics, FORCE_NOT_MEASURED):
+            steps.append(NextStep(Action.MEASURE, (
+                f"Map or record {each.evidence['channels']}: without, no equation of "
+                f"{', '.join(each.subject)} counts.")))
         steps += [NextStep(Action.CHECK, str(each)) for each in short_stretches(self.rough)]
         weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
         if weak:
             steps.append(NextStep(Action.DRIVE, (
                 f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
-        if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
+        if of_kind(self.diagnostics, NOT_EXCITED):
             steps.append(NextStep(Action.DRIVE, "Design a motion, drive it, and add its log:",
                                   f"hydroopt excite {machine}{logged}{mapped} -o motion"))
         steps.append(NextStep(Action.USE, "Identify:",

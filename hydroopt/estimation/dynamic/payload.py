@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
+from scipy.linalg import block_diag
 from threadpoolctl import threadpool_limits
 
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import IdentifiabilityError, ProblemError, SolverError
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
 from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
 from hydroopt.estimation.dynamic.training_logs import explained
-from hydroopt.estimation.dynamic.two_session_problem import (
-    TwoSessionOptimum,
-    TwoSessionProblem,
-    Wald,
-    doubled,
-    joined,
-    second_parameters,
-    solve_both,
-    wald,
-)
-from hydroopt.estimation.inference.posterior import Posterior
+from hydroopt.estimation.dynamic.usability import scale_assumed
+from hydroopt.estimation.inference.band_variances import f_test, students
+from hydroopt.estimation.inference.conditions import consistency, scaled_bodies
+from hydroopt.estimation.inference.convex_program import cones, nearest_point
+from hydroopt.estimation.inference.mixed_model import Projected, projected
+from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian, marginal
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.carried_load import carried_load
 from hydroopt.model.model import Model, recent_model
@@ -42,7 +39,6 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
@@ -52,6 +48,10 @@ METHOD = "joint least squares"
 """One least squares over both sessions, with an F test."""
 NO_LOAD = 0.05
 """p-value of no load above which no load is detected."""
+DRAWS = 20_000
+"""Draws of load, friction and gains: limits of intervals are known to a hundredth of their width."""
+MOST_STEPS = 100
+"""Linearisations about uncertain gains."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,8 +63,6 @@ class Payload(SessionAnswer):
         statistic, rank, degrees_of_freedom, p_value: of the joint test of no load: F with `rank` (identifiable
             directions) and `degrees_of_freedom`.
         before, after: the sessions without and with the load.
-        posterior: samples of all unknowns; None where bounds leave no interior.
-        notes: how it was computed, in sentences.
         link: that carries it.
         mass: [kg].
         com: the three coordinates of its centre of mass [m].
@@ -84,8 +82,6 @@ class Payload(SessionAnswer):
     p_value: float
     before: StoredInformation
     after: StoredInformation
-    posterior: Posterior | None
-    notes: tuple[str, ...]
     link: str
     mass: Quantity
     com: tuple[Quantity, ...]
@@ -123,26 +119,31 @@ class Payload(SessionAnswer):
         mass = rounded(self.mass.value, self.mass.std) if self.mass.identifiable else ""
         link = (self.link,)
         if self.p_value > NO_LOAD:
-            return (Diagnostic(Kind.NO_LOAD_DETECTED, link, {
+            return (Diagnostic.of("no payload detected", link, {
                 "p_value": self.p_value, "probability": probability(self.p_value),
-                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""}),)
+                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""},
+                "No load is detected on {subject} ({probability}){mass}."),)
         if mass:
             place = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
-            return (Diagnostic(Kind.LOAD_IDENTIFIED, link, {"mass": mass, "place": place}),)
-        return (Diagnostic(Kind.LOAD_MASS_NOT_IDENTIFIABLE, link, {
-            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""}),)
+            return (Diagnostic.of("payload identified", link, {"mass": mass, "place": place}, (
+                "The load on {subject} is {mass} kg{place}.")),)
+        return (Diagnostic.of("mass of the payload not identifiable", link, {
+            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""},
+            "These logs do not identify the mass of the load on {subject}{moment}."),)
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the logs, what the intervals assume, and what of the load these motions do not identify."""
         missing = tuple(one.name for one in self.com if not one.identifiable)
-        partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
+        partly = (Diagnostic.of("payload partly identifiable", missing, {}, (
+            "These motions do not identify {subject} of the load."),
+            "Move the load about more axes."),) if missing else ()
         if not self.mass.identifiable:
-            partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
-        scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
-        sampling = () if self.posterior is not None and self.posterior.converged else (
-            Diagnostic(Kind.NO_INTERIOR if self.posterior is None else Kind.SAMPLING_NOT_CONVERGED),)
-        return (*self.of_logs, *sampling, *partly, *scale)
+            partly = (Diagnostic.of("mass of the payload not separable", (self.link,), {}, (
+                "These motions cannot separate the mass of the load on {subject} from its other parameters."),
+                "Vary speed and range of the motion with the load."),)
+        scale = () if self.gains else (scale_assumed(),)
+        return (*self.of_logs, *partly, *scale)
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -183,7 +184,7 @@ class Payload(SessionAnswer):
                 "test": {"statistic": self.statistic, "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
                          "p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
                          "steady": self.steady},
-                "weights": self.weights, "notes": list(self.notes)}
+                "weights": self.weights}
 
     def files(self) -> Mapping[str, str]:
         """All quantities as CSV."""
@@ -196,10 +197,12 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
             smoothing: Smoothing | None = None, seed: int = 0, progress: Progress = silent) -> Payload:
     """Mass and centre of mass of a load that one session carries and another does not.
 
-    Both sessions share the machine's parameters; the load is a body of its own on a link. Its mass is not negative, and
-    `Payload.phi` is the most probable body whose pseudo-inertia is positive definite. A scale that all forces are
-    misread by, such as a motor's torque constant, changes the mass by as much; with `gain` it is an unknown of each
-    actuator, which the machine file's priors on masses then determine, and the intervals include it.
+    One least squares over both sessions, which share the machine's parameters and its priors, but for the load, the
+    step of a body of its own on a link. Its mass is not negative, and `Payload.phi` is the most probable body whose
+    pseudo-inertia is positive definite; bounds of the machine's own parameters do not matter to what was added. A
+    scale that all forces are misread by, such as a motor's torque constant, changes the mass by as much; with `gain` it
+    is an unknown of each actuator, which the machine file's priors on masses then determine, and the intervals include
+    it.
 
     Args:
         machine: nominal description without the load, the same for both sessions.
@@ -210,7 +213,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         gain: standard deviation of the relative error of each actuator's force reading, the same in both sessions; by
             default the machine file's ``[faults] gain``, or else 0.
         smoothing: how angles are differentiated.
-        seed: of the sampling of intervals.
+        seed: of the draws of intervals.
         progress: receives the steps, see `hydroopt.progress`.
 
     Raises:
@@ -226,7 +229,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         >>> unloaded, loaded = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
         >>> load = ho.payload(model.machine, [unloaded], [loaded], link="lift")
         >>> load.findings[0].kind
-        <Kind.NO_LOAD_DETECTED: 'no payload detected'>
+        'no payload detected'
     """
     machine = machine_of(machine, "payload")
     gain = (machine.faults.gain or 0.0) if gain is None else gain
@@ -251,37 +254,18 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
 
 def _weighed(model: Model, columns: Array, names: Sequence[str], gain: float, first: StoredInformation,
              second: StoredInformation, carrier: str, seed: int) -> Payload:
-    total = sum(owned.body.m for owned in bodies(model.machine).values())
-    problem = _problem(model, columns, names, gain, mass=0.1 * total)
-    test = wald(problem, *problem.rows(first, second))
-    if np.isfinite(test.std[0]):  # the load's approximate size sets the width of the prior
-        problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
-    both = problem.rows(first, second)
-    test = wald(problem, *both)
-    possible = solve_both(problem, *both, intervals=False, seed=seed).x
-    # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
-    # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
-    found = solve_both(replace(problem, unconstrained=(LOAD,)), *both, intervals=True, seed=seed)
-    return _payload(problem, carrier, test, found, possible, first, second)
-
-
-def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> TwoSessionProblem:
-    """Two sessions of which the second has one more body, of about this mass within the machine's reach."""
-    parameters, p, n = model.parameters, len(model.parameters), len(model.machine.balances) if gain else 0
-    twice = doubled(parameters, names)
-    chosen, c = np.eye(p)[twice], len(twice)
-    unknowns = joined(parameters, _load(model.machine, mass), second_parameters(parameters, twice), _gains(model, gain))
-    nothing = np.zeros((10, p))
-    return TwoSessionProblem(
-        model, (), unknowns=unknowns, labels=(*unknowns.names[p : p + 10], *names),
-        second=np.hstack([np.eye(p) - chosen.T @ chosen, columns, chosen.T, np.zeros((p, n))]),
-        null=np.hstack([np.vstack([np.eye(p), nothing, chosen, np.zeros((n, p))]),
-                        np.eye(len(unknowns))[:, p + 10 + c :]]),
-        change=np.eye(len(unknowns))[:, p : p + 10 + c], gains=tuple(range(p + 10 + c, p + 10 + c + n)))
+    mass = 0.1 * sum(owned.body.m for owned in bodies(model.machine).values())
+    added = np.hstack([columns, np.eye(len(columns))[:, model.parameters.select(names)]])
+    for _ in range(2):  # the load's approximate size sets the width of its prior
+        both = _BothSessions(model, added, gain, _load(model.machine, mass), (first, second))
+        value, std = (float(abs(one[0])) for one in (both.change.solution @ both.change.sums,
+                                                     np.linalg.norm(both.change.solution, axis=1)))
+        mass = max(value, std) if np.isfinite(std) else mass
+    return both.payload(carrier, names, seed)
 
 
 def _load(machine: Machine, mass: float) -> ParameterSet:
-    """A body with a weak prior: it lies within the machine's reach."""
+    """A body with a weak prior: it is about so heavy, and lies within the machine's reach."""
     reach = sum(float(np.hypot(one.joint.a, one.joint.d)) for one in machine.links) or 1.0
     scale = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
     nominal = scale * np.array([1, 0, 0, 0, 1, 0, 0, 1, 0, 1])
@@ -291,42 +275,136 @@ def _load(machine: Machine, mass: float) -> ParameterSet:
                         lower, np.full(10, np.inf), scale, np.diag(1 / wide**2))
 
 
-def _gains(model: Model, gain: float) -> ParameterSet:
-    names = tuple(f"{balance.name}.gain" for balance in model.machine.balances) if gain else ()
-    n = len(names)
-    return ParameterSet(names, (ParameterKind.FORCE_GAIN,) * n, ("1",) * n, np.zeros(n), np.full(n, -np.inf),
-                        np.full(n, np.inf), np.full(n, gain), np.eye(n) / (gain or 1.0) ** 2)
+@dataclass(frozen=True, eq=False)
+class _BothSessions:
+    """Forces ``(1 + γ)·K·(ψ + s·added·δ)`` of two sessions, without (s = 0) and with (s = 1) what the second adds.
+
+    The unknowns are x = [ψ, γ, δ]: gains γ of the force readings, if these are uncertain, and δ (d,), the ten numbers
+    of the load and changes of friction, of which `added` (p, d) are the columns.
+    """
+
+    model: Model
+    added: Array
+    gain: float
+    load: ParameterSet
+    sessions: tuple[StoredInformation, StoredInformation]
+
+    @cached_property
+    def scale(self) -> Array:
+        """(P,) sizes of the unknowns."""
+        own, gains = self.model.parameters.scale, len(self.model.machine.balances) if self.gain else 0
+        return np.concatenate([own, np.full(gains, self.gain), self.load.scale, own @ self.added[:, 10:]])
+
+    @property
+    def shared(self) -> int:
+        """Number of the unknowns that both sessions share, which come first."""
+        return len(self.scale) - int(self.added.shape[1])
+
+    @cached_property
+    def priors(self) -> tuple[Array, Array]:
+        """Rows (·, P) and right-hand side of all priors, the ten of the load last."""
+        rows, right = IdentificationProblem(self.model, ()).prior_rows
+        load, d = np.sqrt(np.diag(self.load.information)), self.added.shape[1]
+        gains = np.diag(1 / self.scale[len(self.added) : self.shared])
+        return (block_diag(rows, gains, np.eye(10, d) * load[:, None]),
+                np.concatenate([right, np.zeros(len(gains)), load * self.load.nominal]))
+
+    @property
+    def freedom(self) -> Array:
+        """Degrees of freedom of the variances of both sessions' rows."""
+        return np.concatenate([session.freedom.ravel() for session in self.sessions])
+
+    @property
+    def nominal(self) -> Array:
+        """(P,) the nominal machine without a load."""
+        return np.pad(self.model.parameters.nominal, (0, len(self.scale) - len(self.added)))
+
+    def rows(self, x: Array) -> tuple[Array, Array]:
+        """Rows (m, P) and right-hand side of both sessions with unit variance, linearised at x (P,)."""
+        p, made, right = len(self.added), [], []
+        for s, session in enumerate(self.sessions):
+            K, f = session.triangles[:, :, :p], session.triangles[:, :, p]
+            A = np.concatenate([K, np.zeros((*f.shape, self.shared - p)), s * (K @ self.added)], axis=2)
+            if self.gain:
+                gain, predicted = x[p : self.shared, None], A @ x
+                A, f = (1 + gain[:, None]) * A, f + gain * predicted
+                A[np.arange(len(A)), :, p + np.arange(len(A))] = predicted
+            made.append(A.reshape(-1, len(x)))
+            right.append(f.ravel())
+        return np.vstack(made), np.concatenate(right)
+
+    @cached_property
+    def posterior(self) -> GaussianPosterior:
+        """The Gaussian of the unknowns, whose normal intervals are as wide as those of Student's t.
+
+        Raises:
+            SolverError: gains, which make forces bilinear, did not converge.
+        """
+        prior, known = self.priors
+        size, x = students(self.freedom), self.nominal
+        for _ in range(MOST_STEPS):
+            A, b = self.rows(x)
+            found = gaussian(np.vstack([A * size[:, None], prior]), np.append(b * size, known), self.nominal,
+                             self.scale)
+            last, x = x, found.offset
+            if not self.gain or np.all(np.abs(x - last) < 1e-9 * self.scale):
+                return found
+        raise SolverError("the gains of the force readings did not converge", where=self.model.machine.name,
+                          remedy="state a smaller sigma of the gains, or smaller sigmas of masses")
+
+    @cached_property
+    def change(self) -> Projected:
+        """What the sessions say of δ without a prior of it, beside all that they share.
+
+        Raises:
+            IdentifiabilityError: nothing.
+        """
+        (A, b), (prior, known) = self.rows(self.posterior.offset), (one[:-10] for one in self.priors)
+        rows, k = np.vstack([A, prior]), self.shared
+        found = projected(rows[:, :k] * self.scale[:k], rows[:, k:], np.append(b, known) - rows @ self.nominal,
+                          self.scale[k:])
+        if not len(found.sums):
+            raise IdentifiabilityError("these logs do not identify a load", where=self.model.machine.name,
+                                       remedy="drive longer motions, in both sessions")
+        return found
+
+    def payload(self, link: str, names: Sequence[str], seed: int) -> Payload:
+        """The load on a link, and changes of friction by name."""
+        k, change = self.shared - len(self.added), self.change
+        own = marginal(self.posterior, np.s_[len(self.added) :])  # of γ (k,) and δ
+        mean, root = own.offset, own.slope
+        draws = np.random.default_rng(seed).standard_normal((DRAWS, len(mean)))
+        axis, length = root[k] / np.linalg.norm(root[k]), float(np.linalg.norm(root[k]))
+        along = stats.truncnorm.ppf(special.ndtr(draws @ axis), -mean[k] / length, np.inf)  # no mass is negative
+        samples = mean + (draws + np.outer(along - draws @ axis, axis)) @ root.T
+        value = mean if mean[k] > 0 else samples.mean(axis=0)
+        test = f_test(change.sums, change.left**2,
+                      np.pad(self.freedom, (0, len(change.left) - len(self.freedom)), constant_values=np.inf))
+        known, parameters, columns = np.isfinite(change.solution[:, 0]), self.model.parameters, samples.T
+        mass = _quantity("m", ParameterKind.MASS, "kg", value[k], columns[k], known[0])
+        moment = tuple(_quantity(f"mc_{axis}", ParameterKind.FIRST_MOMENT, "kg*m", value[k + j], columns[k + j],
+                                 known[j]) for j, axis in enumerate("xyz", 1))
+        com = tuple(_quantity(f"com_{axis}", ParameterKind.POSITION, "m", value[k + j] / value[k],
+                              columns[k + j] / columns[k], known[0] and known[j]) for j, axis in enumerate("xyz", 1))
+        friction = tuple(_quantity(name, parameters.kind(name), parameters.units[parameters.index(name)],
+                                   value[k + j], columns[k + j], known[j]) for j, name in enumerate(names, 10))
+        gains = tuple(_quantity(f"{balance.name}.gain", ParameterKind.FORCE_GAIN, "1", value[j], columns[j], True)
+                      for j, balance in enumerate(self.model.machine.balances[:k]))
+        return Payload(self.model.machine, test.statistic, test.rank, test.freedom, test.p_value, *self.sessions, link,
+                       mass, com, moment, self._possible(), friction, gains)
+
+    def _possible(self) -> Array:
+        """The most probable load (10,) that can exist."""
+        load = marginal(self.posterior, np.s_[self.shared : self.shared + 10])
+        [body] = scaled_bodies(self.load)
+        nearest = nearest_point(np.zeros(10), cones([consistency(body, 10)], load), self.model.machine.name)
+        assert nearest is not None  # some body exists
+        return np.asarray(load.offset + load.slope @ nearest[0])
 
 
-def _payload(problem: TwoSessionProblem, link: str, test: Wald, found: TwoSessionOptimum, possible: Array,
-             first: StoredInformation, second: StoredInformation) -> Payload:
-    p, unknowns = len(problem.second), problem.unknowns
-    identified = np.isfinite(test.std[:10])
-    samples = found.posterior.samples if found.posterior is not None else np.full((2, len(found.x)), np.nan)
-    load, centre = samples[:, p : p + 10], found.centre[p : p + 10]
-    difference = (problem.second - np.eye(*problem.second.shape))[problem.model.parameters.select(problem.labels[10:])]
-    axes = "xyz"
-    return Payload(
-        problem.model.machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
-        found.notes, link,
-        _quantity("m", ParameterKind.MASS, "kg", centre[0], load[:, 0], identifiable=identified[0]),
-        tuple(_quantity(f"com_{axis}", ParameterKind.POSITION, "m", centre[1 + k] / centre[0],
-                        load[:, 1 + k] / load[:, 0], identifiable=identified[0] and identified[1 + k])
-              for k, axis in enumerate(axes)),
-        tuple(_quantity(f"mc_{axis}", ParameterKind.FIRST_MOMENT, "kg*m", centre[1 + k], load[:, 1 + k],
-                        identifiable=identified[1 + k]) for k, axis in enumerate(axes)),
-        possible[p : p + 10],
-        tuple(_quantity(name, unknowns.kind(name), unknowns.units[unknowns.index(name)], row @ found.centre,
-                        samples @ row, identifiable=np.isfinite(std))
-              for name, row, std in zip(problem.labels[10:], difference, test.std[10:], strict=True)),
-        tuple(_quantity(unknowns.names[k], ParameterKind.FORCE_GAIN, "1", found.centre[k], samples[:, k],
-                        identifiable=True) for k in problem.gains))
-
-
-def _quantity(name: str, kind: ParameterKind, unit: str, value: float, samples: Array, *,
-              identifiable: bool) -> Quantity:
+def _quantity(name: str, kind: ParameterKind, unit: str, value: float, samples: Array, known: bool) -> Quantity:
     nan = float("nan")
-    if not identifiable:
+    if not known:
         return Quantity(name, str(kind), unit, nan, nan, (nan, nan))
     low, high = np.quantile(samples, [0.025, 0.975])
     return Quantity(name, str(kind), unit, float(value), float(np.std(samples)), (float(low), float(high)))

@@ -11,13 +11,12 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside
 from hydroopt.estimation.dynamic.instruments import instrument
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
-from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
-from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
+from hydroopt.estimation.dynamic.weighted_residuals import LOSSES, Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import convex_program, nlp, statements
+from hydroopt.estimation.inference import convex_program, listing, nlp, statements
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
@@ -32,7 +31,7 @@ from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -437,7 +436,25 @@ class IdentificationProblem(Shown):
                 f"{counted(len(self.constraint_names), 'constraint')})")
 
     def __str__(self) -> str:
-        return problem_text(self, (*self.stated_priors, *self.priors))
+        parameters, machine = self.parameters, self.model.machine
+        samples = sum(e.sample_count for e in self.experiments)
+        lines = [f"{self.where}: {samples} samples in {counted(len(self.experiments), 'training log')}",
+                 f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
+        for balance, std in zip(machine.balances, self.force_std, strict=True):
+            weight = f"σ = {listing.number(std)} {balance.unit}" if np.isfinite(std) else "σ unknown"
+            again = ", re-estimated from the residuals" if self.reweight else ""
+            lines.append(f"  residuals of {balance.name}: {LOSSES[self.loss]}, e = f − K·ψ [{balance.unit}], "
+                         f"{weight}{again}")
+        lines += ["  residuals of the actuators correlate: their covariance weights them"] * self.correlated
+        lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * self.fitted_motion
+        lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
+        known = int(np.sum(np.diag(parameters.information) > 0))
+        lines.append(f"  priors of the machine file: (ψ − nominal)ᵀ·Λ·(ψ − nominal) over {known} parameters")
+        lines += ["  log-det distance of every body from its nominal one"] * (self.distance == "log-det")
+        lines += [f"  {listing.prior(parameters, one)}" for one in (*self.stated_priors, *self.priors)]
+        conditions = self.statements(consistent=self.consistent)
+        return "\n".join([*lines, "subject to the bounds and", *listing.constraints(
+            parameters, conditions, self.constraints)])
 
 
 def identification_problem(machine: GivenMachine | Model, logs: Log | Sequence[Log],

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_sign import DRY
 from hydroopt.estimation.dynamic.identification import Identification
-from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
 
 WINDOW, NARROW = 0.4, 0.15
@@ -53,9 +52,12 @@ class _Reversal(NamedTuple):
 def diagnose(found: Identification) -> Iterator[Diagnostic]:
     """Joints whose positions are read late."""
     for each in late_positions(found):
-        yield Diagnostic(Kind.LATE_POSITIONS, (each.joint,), {
+        yield Diagnostic.of("friction turns before the velocity", (each.joint,), {
             "joint": each.joint, "actuator": each.actuator, "count": each.reversals, "late": 1e3 * each.late,
-            "std": 1e3 * each.std})
+            "std": 1e3 * each.std},
+            "The positions of {joint} are read {late:.0f} ± {std:.0f} ms late: so much earlier than its velocity the "
+            "dry friction of {actuator} turns, at {count} reversals.",
+            "Correct the times of {joint} in the log.", Meaning.CONTRADICTION)
 
 
 def late_positions(found: Identification) -> Iterator[LatePositions]:

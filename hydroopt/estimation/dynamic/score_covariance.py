@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from hydroopt.estimation.inference.band_variances import (
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, ROUNDING_TOLERANCE
 from hydroopt.estimation.inference.least_squares import orthonormal, without
 from hydroopt.estimation.inference.mixed_model import UNEQUAL, projected, variance_components
+from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
@@ -33,18 +34,6 @@ ALIKE = 0.95
 without noise exact."""
 STEADY = 0.01
 """p-value of no difference between the halves of a log below which its friction is not the same in both."""
-
-
-class PriorProblem(Protocol):
-    """Parameters and their priors."""
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """The unknowns."""
-
-    @property
-    def prior_rows(self) -> tuple[Array, Array]:
-        """Rows and right-hand side of all priors."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +95,7 @@ class InMotion:
         least: (n,) standard deviation below which no frequency's is.
     """
 
-    def __init__(self, problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array) -> None:
+    def __init__(self, problem: InferenceProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array) -> None:
         self.parameters, self.prior = problem.parameters, problem.prior_rows
         self.logs, self.sigma, self.least = logs, sigma, least
         self.together = logs[0].copy()

@@ -20,17 +20,16 @@ from hydroopt.estimation.dynamic.stored_information import StoredInformation, al
 from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
 from hydroopt.progress import Progress, silent
-from hydroopt.results.diagnostic import Diagnostic, listed, probability
+from hydroopt.results.diagnostic import Diagnostic, Meaning, listed, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
-from hydroopt.results.wording import Kind
 from hydroopt.units import in_print
 
 METHOD = "linear mixed model"
@@ -157,11 +156,12 @@ class SessionComparison(SessionAnswer):
                     if one.differs < self.level]
             size = (f", by {100 * self.scatter:.2g} % of the friction force (95 %: {100 * low:.2g} to "
                     f"{100 * high:.2g} %)" if low > 0 else "")
-            found.append(Diagnostic(Kind.SESSIONS_SCATTER, tuple(most), {
+            found.append(Diagnostic.of("sessions differ without any order", tuple(most), {
                 "probability": probability(self.scatter_p_value), "scatter": number(self.scatter), "size": size,
                 "most": f", {listed(most, 3)} most clearly" if most else "",
-                "within": "" if self.steady else
-                          f" Halves of single logs differ as well (φ = {self.split_half:.2g})."}))
+                "within": "" if self.steady else f" Halves of single logs differ as well (φ = {self.split_half:.2g})."},
+                "Sessions differ by more than residuals explain ({probability}){size}{most}; a change must exceed "
+                "that.{within}"))
         return tuple(found)
 
     def _change(self) -> Diagnostic:
@@ -169,7 +169,8 @@ class SessionComparison(SessionAnswer):
         evidence = {"probability": probability(self.p_value), "p_value": self.p_value, "sessions": count}
         named = [one for one in self.differences if one.changed]
         if not self.detected:
-            return Diagnostic(Kind.NO_CHANGE_DETECTED, (), evidence)
+            return Diagnostic.of("no change detected", (), evidence, (
+                "No change over the {sessions} sessions ({probability})."))
         path = self.in_order[self.shape.session - 1].inputs[:1] if self.shape.session is not None else ()
         log = "".join(f" ({Path(str(one['path'])).name})" for one in path)
         sums = np.cumsum([share for _, share in self.shapes])
@@ -183,8 +184,8 @@ class SessionComparison(SessionAnswer):
             open_ = (f"one alone explains it: {' or '.join(alike)}" if alike else
                      "several changed, which these logs do not separate")
             what.append(f"of the others, {open_}" if named else open_)
-        return Diagnostic(Kind.CHANGE_DETECTED, tuple(one.name for one in named),
-                          evidence | {"where": where, "what": "; ".join(what)})
+        return Diagnostic.of("change detected", tuple(one.name for one in named), {
+            **evidence, "where": where, "what": "; ".join(what)}, "Changed by {where}: {what} ({probability}).")
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
@@ -192,8 +193,16 @@ class SessionComparison(SessionAnswer):
         hidden = [one for one in self.differences if not one.identifiable]
         alike, unseen = (tuple(one.name for one in hidden if bool(np.any(np.isfinite(one.detectable))) is so)
                          for so in (True, False))
-        return (*self.of_logs, *((Diagnostic(Kind.CHANGE_CONFOUNDED, alike),) if alike else ()),
-                *((Diagnostic(Kind.CHANGE_NOT_IDENTIFIABLE, unseen),) if unseen else ()))
+        found = list(self.of_logs)
+        if alike:
+            found.append(Diagnostic.of("change not separable", alike, {}, (
+                "The logs cannot separate changes of {subject} from one another."),
+                "Vary speed and range of the motion in every session.", Meaning.PROPERTY))
+        if unseen:
+            found.append(Diagnostic.of("change not identifiable", unseen, {}, (
+                "The logs do not identify a change of {subject}."),
+                "Drive a motion that excites it in every session.", Meaning.PROPERTY))
+        return tuple(found)
 
     @cached_property
     def uses(self) -> tuple[Use, ...]:
@@ -289,7 +298,7 @@ def compare(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log | str 
         >>> logs = [ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions)]
         >>> found = ho.compare(model.machine, logs)
         >>> found.findings[0].kind, found.difference("lift_cylinder.f_coulomb").changed
-        (<Kind.NO_CHANGE_DETECTED: 'no change detected'>, False)
+        ('no change detected', False)
     """
     machine = machine_of(machine, "compare")
     if not 0 < level < 1:

@@ -26,10 +26,9 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.progress import Progress
 from hydroopt.results.answer import load
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import Job, not_an_answer
 from hydroopt.results.status import Status
-from hydroopt.results.wording import OF_LOGS, Kind
 from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"
@@ -191,7 +190,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
     except (ValueError, KeyError, TypeError):
         raise not_an_answer(folder) from None
     return StoredInformation(triangles, freedom, phi, steady, sigma, times, samples, tuple(inputs),
-                             of_kind(estimate.diagnostics, *OF_LOGS, Kind.FORCE_NOT_MEASURED))
+                             tuple(each for each in estimate.diagnostics if "log" in each.evidence))
 
 
 def _triangles(model: Model, text: str, file: Path) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydroopt.checks.plausibility import contradiction, examine, misread_error, remedy_of
+from hydroopt.checks.plausibility import LOG_MISREAD, contradiction, examine, misread_error, remedy_of
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment, refuse_nothing_to_determine
 from hydroopt.estimation.dynamic.lagging_forces import refuse_lags
@@ -17,8 +17,10 @@ from hydroopt.logs.forces_from_pressures import absent_forces
 from hydroopt.logs.log import SAMPLE, Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.model.model import Model
-from hydroopt.results.diagnostic import Diagnostic, listed, of_kind
-from hydroopt.results.wording import Kind
+from hydroopt.results.diagnostic import Diagnostic, in_samples, listed, of_kind
+
+FORCE_NOT_MEASURED = "force not measured in a log"
+"""Kind of the diagnostic of a log that lacks channels of actuators."""
 
 
 def prepared(log: Log, model: Model, smoothing: Smoothing | None) -> Experiment:
@@ -63,19 +65,21 @@ def forces_not_measured(model: Model, experiments: Sequence[Experiment]) -> Iter
               if (lacking := absent_forces(model, data.log))}
     for where, lacking in absent.items():
         channels = listed([channel for some in lacking.values() for channel in some])
-        yield Diagnostic(Kind.FORCE_NOT_MEASURED, tuple(lacking), {"log": where, "channels": channels})
+        yield Diagnostic.of(FORCE_NOT_MEASURED, tuple(lacking), {"log": where, "channels": channels}, (
+            "{log} lacks {channels}: the equations of {subject} are not used there, those of other actuators are."),
+            "Record or map what is missing; state measured = false of an actuator that is never measured.")
 
 
 def losses(model: Model, experiments: Sequence[Experiment]) -> tuple[Diagnostic, ...]:
     """What logs lack: forces, and samples without a number."""
-    samples = [Diagnostic(Kind.FINDING, (data.log.path or data.log.name,), {"text": finding.text})
-               for data in experiments for finding in data.log.findings if finding.kind in ("nan", "dead")]
+    samples = (in_samples(data.log.path or data.log.name, finding.text)
+               for data in experiments for finding in data.log.findings if finding.kind in ("nan", "dead"))
     return (*forces_not_measured(model, experiments), *samples)
 
 
 def explained(error: HydrooptError, of_logs: Sequence[Diagnostic]) -> HydrooptError:
     """The mistake in a log that explains an error, if there is one, or else the error."""
-    misread = of_kind(of_logs, Kind.LOG_MISREAD)
+    misread = of_kind(of_logs, LOG_MISREAD)
     return SolverError(contradiction(misread[0]), where=str(misread[0].evidence["log"]),
                        remedy=remedy_of(misread[0])) if misread else error
 

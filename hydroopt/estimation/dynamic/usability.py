@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.capacity import LOADED, WORKING_PRESSURE, Capacity, capacity
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.machine.unmeasured_joints import UnmeasuredJoint, unmeasured_joints
+from hydroopt.machine.actuators import Actuator, Drive
+from hydroopt.machine.balances import UnmeasuredJoint
+from hydroopt.machine.machine import Machine
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
-from hydroopt.results.command_line import CommandLine
+from hydroopt.results.answer import CommandLine
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import percentage, readable
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
@@ -39,8 +42,21 @@ RANGE = 4.0
 """Range of a force in its standard deviations."""
 TO_SCALE = "true to the stated areas and sensors' scales"
 """What masses and loads are without a known load: an error of all force readings in common is that of all masses."""
+WORKING_PRESSURE = 2e7
+"""Pressure [Pa] up to which an actuator works at least that states no relief pressure."""
+LOADED = 1e-6
+"""Part of the largest effect of a load from which on it counts as loading a balance or joint."""
 _OF_PRIOR = "mostly the machine file's confidence"
 _SEVERITY = (Usable.YES, Usable.UNTESTED, Usable.NO)
+
+
+def scale_assumed() -> Diagnostic:
+    """What masses assume where no force is known."""
+    return Diagnostic.of("scale of force readings assumed exact", (), {}, (
+        "Force readings are assumed to be right in scale: a common relative error of all of them, as of piston areas "
+        "or sensors' scales, becomes that of the mass."),
+        "State with --gain-error how large their relative errors may be. In weigh, one known load determines them "
+        "(--known).")
 
 
 def uses(found: Identification, parameters: ParameterTable) -> tuple[Use, ...]:
@@ -115,7 +131,7 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
     logs = len(found.problem.validation)
     condition = (f"RMS without the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
-    for each in unmeasured_joints(found.problem.model.machine):
+    for each in found.problem.model.machine.unmeasured_joints:
         yield Use(Purpose.FORCES, each.joint, Usable.NO,
                   reason=f"{' and '.join(each.unmeasured)} not measured, so that no log tells the force there")
     for k, balance in enumerate(found.problem.model.machine.balances):
@@ -248,7 +264,7 @@ def _loaded(model: Model, q: Array) -> tuple[UnmeasuredJoint, ...]:
     pull = np.asarray(gravity_in_base(model.machine), dtype=float).ravel()
     at_joints = np.abs(pull @ model.over(model.tip_jacobian, q)[0][0][:3])
     loaded = at_joints > LOADED * np.max(at_joints)
-    return tuple(each for each in unmeasured_joints(model.machine)
+    return tuple(each for each in model.machine.unmeasured_joints
                  if loaded[model.machine.joints.index(each.joint)])
 
 
@@ -322,7 +338,7 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...], typed: Comma
                               typed.again("--holdout", "0.3")))
     trained = found.fit["train"]
     steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
-              for each in unmeasured_joints(found.problem.model.machine)]
+              for each in found.problem.model.machine.unmeasured_joints]
     balances = {each.name for each in found.problem.model.machine.balances}
     if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*trained}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
@@ -344,3 +360,69 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...], typed: Comma
         steps.append(NextStep(Action.USE, "Write the model as C:",
                               f"hydroopt codegen {typed.path()} -o {typed.path('c')}"))
     return tuple(steps)
+
+
+class Capacity(NamedTuple):
+    """What the actuators hold in one posture.
+
+    Attributes:
+        load: [kg] beside the machine itself; NaN where a drive states no limit.
+        holder: names of the actuators that hold no more, joined by "and".
+        pressure: least relief pressure [Pa] of the holder, stated or assumed; None of drives.
+        missing: names of those of the holder whose limit is not stated.
+    """
+
+    load: float
+    holder: str
+    pressure: float | None
+    missing: tuple[str, ...]
+
+    @property
+    def owner(self) -> str:
+        """Whose limits are missing, before the name of the limit."""
+        return "its" if len(self.missing) == 1 and self.missing[0] == self.holder else f"{' and '.join(self.missing)}'s"
+
+
+def capacity(machine: Machine, force: Array, effect: Array, shares: Array, reached: Mapping[str, float]) -> Capacity:
+    """The load that the actuators hold at the tip in one posture, and which of them holds no more.
+
+    A cylinder pushes with its head side's area and pulls with its rod side's. Passive joints hold nothing and hang.
+
+    Args:
+        machine: with relief pressures and torques.
+        force: (r,) that holds the machine itself; `effect` (r,) of a load per its mass.
+        shares: (r, a) of the actuators in the balances.
+        reached: highest pressure [Pa] of actuators in logs by name, which they work at if they state no relief.
+    """
+    found = []
+    loaded = np.abs(effect) > LOADED * np.max(np.abs(effect))
+    for balance, f, e, share in zip(machine.balances, force, effect, shares, strict=True):
+        if not balance.actuators or not loaded[machine.balances.index(balance)]:
+            continue
+        acting = [(actuator, part) for actuator, part in zip(machine.actuators, share.tolist(), strict=True) if part]
+        push = sum(abs(part) * _limits(actuator, reached)[part < 0] for actuator, part in acting)
+        pull = sum(abs(part) * _limits(actuator, reached)[part > 0] for actuator, part in acting)
+        room = max(0.0, (push - f) / e if e > 0 else (pull + f) / -e) if -pull <= f <= push else 0.0
+        actuators = [actuator for actuator, _ in acting]
+        pressures = [_pressure(each, reached) for each in actuators if not isinstance(each, Drive)]
+        found.append(Capacity(np.nan if np.isnan(push) else float(room), " and ".join(each.name for each in actuators),
+                              min(pressures, default=None), tuple(each.name for each in actuators if _unstated(each))))
+    return min(found, key=lambda each: -1.0 if np.isnan(each.load) else each.load)
+
+
+def _unstated(actuator: Actuator) -> bool:
+    return (actuator.max_torque if isinstance(actuator, Drive) else actuator.relief_pressure) is None
+
+
+def _pressure(actuator: Actuator, reached: Mapping[str, float]) -> float:
+    assert not isinstance(actuator, Drive)
+    return actuator.relief_pressure or max(WORKING_PRESSURE, reached.get(actuator.name, 0.0))
+
+
+def _limits(actuator: Actuator, reached: Mapping[str, float]) -> tuple[float, float]:
+    """Greatest positive and negative force [N or N·m] in magnitude; NaN where a drive states none."""
+    if isinstance(actuator, Drive):
+        torque = np.nan if actuator.max_torque is None else actuator.max_torque
+        return torque, torque
+    pressure = _pressure(actuator, reached)
+    return actuator.areas[0] * pressure, actuator.areas[1] * pressure

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, Literal, Protocol, Self, TypeVar
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, LogError
+from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.fitted_motion import FittedMotion, NumbersBeside
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.holds import Holds
-from hydroopt.estimation.dynamic.numbers_beside import NumbersBeside
 from hydroopt.estimation.dynamic.regressor_qr import (
     CompressedRegressor,
     compress,
@@ -36,9 +37,6 @@ from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
 from hydroopt.logs.smoothing import Motion
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
-
-if TYPE_CHECKING:
-    from hydroopt.estimation.dynamic.fitted_motion import FittedMotion
 
 Loss = Literal["squares", "huber", "student_t"]
 HUBER = 1.345
@@ -232,8 +230,6 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        from hydroopt.estimation.dynamic import fitted_motion  # noqa: PLC0415 — loaded when it is used
-
         fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, experiments, problem.beside),
                                 _covariance(correlation, sigma), weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
@@ -270,6 +266,34 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         R, r, rest = split(triangle(*triangles))
     return WeightedResiduals(problem, R, r, rest, plain, data.samples, triangles, scores, sigma, correlation,
                              found.correlation_time, found.between_logs, found.split_half, found.holds, stated, fit)
+
+
+def with_uncertain_gains(weighted: WeightedResiduals[Problem], psi: Array) -> WeightedResiduals[Problem]:
+    """The information of weighted residuals about ψ where each force has the unknown gain that the machine file states.
+
+    A force that is read (1 + g) times too large, with g of standard deviation σ and the same in all logs, adds g·K·ψ to
+    the residuals f − K·ψ of its actuator. With g unknown, rows of unit variance [R, r] have the covariance I + σ²·s·sᵀ
+    with s = R·ψ, and (I + σ²·s·sᵀ)^(−1/2) makes rows of unit variance of them again.
+
+    What is stored of each actuator stays as it is, since later jobs have unknown gains of their own. The same residuals
+    where no gain is stated, or rows of actuators are mixed.
+
+    Args:
+        weighted: residuals of exact gains.
+        psi: (p,) parameters about which forces are computed.
+    """
+    model = weighted.problem.model
+    gain = model.machine.faults.gain
+    if gain is None or len(weighted.triangles) != len(model.machine.balances):
+        return weighted
+    made = []
+    for balance, own in zip(model.machine.balances, weighted.triangles, strict=True):
+        force = own[:, :-1] @ psi
+        square = float(force @ force)
+        part = (1 - 1 / np.sqrt(1 + gain**2 * square)) / square if square and balance.actuators else 0.0
+        made.append(own - part * np.outer(force, force @ own))
+    R, r, rest = split(triangle(*made))
+    return replace(weighted, R=R, r=r, rest=rest, gain=gain)
 
 
 def _triangle(R: Array, r: Array, rest: float) -> Array:

@@ -12,29 +12,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
-from scipy.optimize import lsq_linear, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.hydraulic.readings import Readings
+from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
 from hydroopt.estimation.hydraulic.volume_balance import Misclosure, VolumeBalance
+from hydroopt.estimation.inference.gauss_newton import Step, bounded_step, minimise
+from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
-CONVERGED = 1e-3
-"""Fall of half the sum of squares that the next step promises, at which steps end."""
+CONVERGED = 0.04
+"""Length of a step, in standard deviations, that ends the search."""
 CORRECTIONS, SMALL = 4, 0.03
 """How often corrections are computed anew, until none changes by this part of its σ."""
 STEPS = 60
 """Greatest number of steps."""
-DAMPING, STUCK = 1e-3, 1e6
-"""First damping after a step that hardly lowered the squares, as a part of the squares of the derivatives; and the one
-at which rounding, or a corner of the model, keeps any step from it."""
 LEAST, MOST = 0.01, 10.0
 """Densities of the random flow: what adds this part of a reading's error over a whole stretch, and in an interval."""
-POOR, GOOD = 0.25, 0.75
-"""Parts of a promised fall, below and above which the next step is damped more and less (Marquardt)."""
 INFORMED = 1e-10
 """Part of the greatest information below which another is rounding."""
 ROUNDS, AGREED = 10, 0.3
@@ -116,16 +114,29 @@ class Adjustment:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Numbers x (p + g,): of what is identified in standard scores from nominal, then of the geometry; and all rows."""
+    """Numbers x (p + g,): of what is identified in standard scores from nominal, then of the geometry; and all rows.
 
+    Corrections of readings follow from them, see `_Solver.corrected`.
+    """
+
+    solver: _Solver
     x: Array
     linear: list[Linear]
     residuals: Array
     slope: Array
 
+    unsettled = 0.0
+
     @property
     def cost(self) -> float:
-        return float(self.residuals @ self.residuals) / 2
+        return float(self.residuals @ self.residuals)
+
+    def step(self, damping: float) -> Step:
+        return bounded_step(np.column_stack([self.slope, self.residuals]), damping, self.solver.lower - self.x,
+                            self.solver.upper - self.x)
+
+    def after(self, change: Array) -> _State:
+        return self.solver.at(self.x + change, [each.correction for each in self.linear])
 
 
 class _Solver:
@@ -149,7 +160,7 @@ class _Solver:
     def at(self, x: Array, corrections: Sequence[Array]) -> _State:
         """All rows at x, with readings corrected anew from `corrections` nearby."""
         linear = [self.corrected(each, x, near) for each, near in zip(self.stretches, corrections, strict=True)]
-        return _State(x, linear, np.concatenate([self.prior @ x, *(each.residuals for each in linear)]),
+        return _State(self, x, linear, np.concatenate([self.prior @ x, *(each.residuals for each in linear)]),
                       np.vstack([self.prior, *(each.slope for each in linear)]))
 
     def corrected(self, each: Balanced, x: Array, near: Array) -> Linear:
@@ -185,37 +196,16 @@ class _Solver:
                        by_delay=both[:, -1])
 
     def solve(self, x: Array, corrections: Sequence[Array]) -> _State:
-        """Damped steps of Gauss and Newton from x on.
+        """The least squares from x on.
 
         Raises:
-            SolverError: they do not converge.
+            SolverError: the steps do not converge.
         """
-        here, damping = self.at(x, corrections), 0.0
-        for _ in range(STEPS):
-            step, promised = self._step(here, damping)
-            if promised <= CONVERGED or damping > STUCK:
-                return here
-            there = self.at(here.x + step, [each.correction for each in here.linear])
-            kept = (here.cost - there.cost) / promised
-            if kept < POOR:
-                damping = max(DAMPING, 10 * damping)
-            elif kept > GOOD:
-                damping = damping / 10 if damping > DAMPING else 0.0
-            if kept > 0:
-                here = there
-        raise SolverError(f"the squares still fall after {STEPS} steps", where="identification of valves and oil",
-                          remedy="correct numbers of the machine file that are far off")
-
-    def _step(self, here: _State, damping: float) -> tuple[Array, float]:
-        """A bounded step, and by how much half the squares should fall."""
-        held = np.diag(np.sqrt(damping) * np.linalg.norm(here.slope, axis=0))
-        triangle = np.asarray(np.linalg.qr(np.vstack([np.column_stack([here.slope, -here.residuals]),
-                                                      np.column_stack([held, np.zeros(len(held))])]), mode="r"))
-        lower, upper = np.minimum(self.lower - here.x, 0.0), np.maximum(self.upper - here.x, 0.0)
-        free, step = np.flatnonzero(upper > lower), np.zeros(len(here.x))
-        if free.size:
-            step[free] = lsq_linear(triangle[:, free], triangle[:, -1], (lower[free], upper[free]), method="bvls").x
-        return step, here.cost - float(np.sum((here.residuals + here.slope @ step) ** 2)) / 2
+        found = minimise(self.at(x, corrections), tolerance=CONVERGED, steps=STEPS)
+        if not (found.converged or found.stuck):  # a corner of the model is a minimum, too
+            raise SolverError(f"the squares still fall after {STEPS} steps", where="identification of valves and oil",
+                              remedy="correct numbers of the machine file that are far off")
+        return found.place
 
     def least(self, linear: Sequence[Linear]) -> Array:
         """(a,) densities of a random flow that is next to none."""
@@ -340,3 +330,44 @@ def _later(solver: _Solver, here: _State) -> Array:
         if (information := left @ left) > INFORMED * (by @ by) > 0:
             found[k] = -(left @ here.residuals) / information, 1 / np.sqrt(information)
     return found
+
+
+def nonlinear_program(stretches: Sequence[Balanced], parameters: ParameterSet) -> NonlinearProgram:
+    """The least corrections of readings, in units of their σ, that close all balances.
+
+    Variables are the parameters, from their nominal values in units of their scales, and the corrections. Balances are
+    in units of what one sample's errors leave in them.
+    """
+    wrong = [each.readings.variance > 0 for each in stretches]
+    sizes = [len(parameters), *(int(np.sum(where)) for where in wrong)]
+    x = ca.MX.sym("x", sum(sizes))
+    z, *corrections = ca.vertsplit(x, np.cumsum([0, *sizes]).tolist())
+    theta = ca.DM(parameters.nominal) + ca.DM(parameters.scale) * z
+    constraints, names, terms = [], [], []
+    x_names = list(parameters.names)
+    x_units = [f"{scale:.6g} {unit} from {nominal:.6g}" for scale, unit, nominal in zip(
+        parameters.scale, parameters.units, parameters.nominal, strict=True)]
+    for number, (each, where, correction) in enumerate(zip(stretches, wrong, corrections, strict=True), 1):
+        readings, owner = each.readings, each.balance.owner
+        at = np.argwhere(where.T)
+        std = np.sqrt(readings.variance.T[where.T])
+        moved = ca.MX(ca.DM(readings.values.T))
+        moved[(at[:, 0] + at[:, 1] * len(QUANTITIES)).tolist()] += ca.DM(std) * correction
+        missed = each.balance.symbolic(readings, moved, theta)[list(readings.chambers), readings.begin :]
+        first = each.balance.misclosure(readings, readings.values, parameters.nominal)
+        variance = (np.sum(first.by_first**2 * readings.variance[readings.begin : -1, None], axis=2)
+                    + np.sum(first.by_last**2 * readings.variance[readings.begin + 1 :, None], axis=2))
+        constraints.append(ca.vec(missed / ca.DM(np.sqrt(variance).T)))
+        names += [f"volume balance of {owner}"] * (missed.numel())
+        x_names += [f"{owner}: {QUANTITIES[k]}, stretch {number}, {readings.t[sample]:.6g} s" for k, sample in at]
+        x_units += [f"{each:.4g}" for each in std]
+        terms.append(f"half the sum of squares of {len(std)} corrections of readings of {owner}")
+    values, vectors = np.linalg.eigh(parameters.information * np.outer(parameters.scale, parameters.scale))
+    prior = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T @ z
+    g, free = ca.vertcat(*constraints), np.full(sum(sizes[1:]), np.inf)
+    return NonlinearProgram(
+        x=x, f=(ca.sumsqr(prior) + ca.sumsqr(x[sizes[0] :])) / 2, x_names=tuple(x_names), x_units=tuple(x_units),
+        x0=np.zeros(sum(sizes)), lbx=np.append((parameters.lower - parameters.nominal) / parameters.scale, -free),
+        ubx=np.append((parameters.upper - parameters.nominal) / parameters.scale, free), g=g, g_names=tuple(names),
+        lbg=np.zeros(g.numel()), ubg=np.zeros(g.numel()), p=ca.MX.sym("p", 0), objective=(
+            *terms, "half the sum of squares of the residuals of the parameters' priors"))

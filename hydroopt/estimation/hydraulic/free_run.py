@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.hydraulic.motion_readings import MotionReadings
 from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem, Stretch
+from hydroopt.estimation.hydraulic.readings import MotionReadings
+from hydroopt.estimation.inference.gauss_newton import DenseRows, minimise
 from hydroopt.kernels.integrator import IntegrationError, Integrator
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
@@ -21,8 +22,8 @@ from hydroopt.spatial.inertia import Array
 
 AT_FIRST, REFINED = 0.3, 4
 """Time [s] over which first readings tell first speeds, and steps towards these."""
-SLIGHT = 1e-3
-"""Change of a speed [rad/s or m/s] for derivatives by it."""
+SLIGHT, SETTLED = 1e-3, 0.01
+"""Change of a speed [rad/s or m/s] for derivatives by it, and that in standard deviations that ends the search."""
 ACCURACY = 1e-6
 """Error of a simulation's step, relative and in units of the states' scales."""
 
@@ -119,19 +120,18 @@ def _with_speeds(problem: HydraulicProblem, t: Array, y: Array, first: Array,
     free = [plant.states.index(f"{joint}.qd") for joint in plant.machine.joints
             if joint not in plant.machine.base_joints]
 
-    def missed(start: Array) -> Array:
+    def missed(speeds: Array) -> Array:
+        start = first.copy()
+        start[free] = speeds
         return np.nan_to_num((run(start, count)[1] - y[:count]) / problem.sigma).ravel()
 
-    here = missed(first)
-    for _ in range(REFINED):
-        slope = np.column_stack([(missed(first + SLIGHT * np.eye(len(first))[k]) - here) / SLIGHT for k in free])
-        trial = first.copy()
-        trial[free] -= np.linalg.lstsq(slope, here)[0]
-        there = missed(trial)
-        if there @ there >= here @ here:
-            break
-        first, here = trial, there
-    return first
+    def rows(speeds: Array) -> tuple[Array, Array]:
+        here, steps = missed(speeds), SLIGHT * np.eye(len(free))
+        return here, np.column_stack([(missed(speeds + step) - here) / SLIGHT for step in steps])
+
+    found = first.copy()
+    found[free] = minimise(DenseRows(rows, first[free]), tolerance=SETTLED, steps=REFINED).place.x
+    return found
 
 
 def _supply(plant: Plant, log: Log) -> Array:

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
-from hydroopt.estimation.hydraulic.adjustment import Balanced
-from hydroopt.estimation.hydraulic.balance_program import nonlinear_program
-from hydroopt.estimation.hydraulic.motion_readings import MotionReadings
-from hydroopt.estimation.hydraulic.readings import Readings, pieces
+from hydroopt.estimation.hydraulic.adjustment import Balanced, nonlinear_program
+from hydroopt.estimation.hydraulic.readings import MotionReadings, Readings, pieces
 from hydroopt.estimation.hydraulic.volume_balance import VolumeBalance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import all_of
@@ -23,14 +21,13 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterSet, parameter_table
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
@@ -169,9 +166,13 @@ class HydraulicProblem(Shown):
         pump = self.plant.machine.pump
         for log in (*self.logs, *self.validation):
             if pump and SUPPLY[0] in self.plant.states and SUPPLY[0] not in log.channels:
-                yield Diagnostic(Kind.SUPPLY_ASSUMED, SUPPLY[:1], {
+                yield Diagnostic.of("pressure of the supply not measured", SUPPLY[:1], {
                     "log": log.path or log.name, "pressure": float(self.plant.supply[0]) / 1e5,
-                    "flow": 6e4 * float(pump.max_flow or np.inf)})
+                    "flow": 6e4 * float(pump.max_flow or np.inf)},
+                    "{log} lacks {subject}: the supply counts as exactly {pressure:.3g} bar, but its pump gives at "
+                    "most {flow:.3g} L/min into a volume of its own, so that it falls under load; flows and their "
+                    "intervals are wrong by that.",
+                    "Log pump.p_supply.")
 
     @property
     def inputs(self) -> tuple[dict[str, Any], ...]:

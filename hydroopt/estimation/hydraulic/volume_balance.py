@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
 from hydroopt.kernels.native import Runner
-from hydroopt.model.flow_demand import chamber_flows
-from hydroopt.model.hydraulics import ActuatorHydraulics, spool_position
+from hydroopt.model.hydraulics import ActuatorHydraulics, chamber_flows, spool_position
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.drive_valves import arrived
 from hydroopt.spatial.inertia import Array

@@ -51,10 +51,13 @@ class Interior(NamedTuple):
     centre: Array
     root: Array
 
-    @classmethod
-    def of(cls, k: int) -> Interior:
-        """The standard normal coordinates z themselves."""
-        return cls(np.zeros(k), np.eye(k))
+    def places(self, y: Array) -> Array:
+        """z (k, c) at coordinates y (k, c)."""
+        return np.asarray(self.centre[:, None] + self.root @ y)
+
+    def coordinates(self, z: Array) -> Array:
+        """y (k, c) of places z (k, c)."""
+        return np.asarray(self.root.T @ (z - self.centre[:, None]) / np.sum(self.root**2, axis=0)[:, None])
 
     def moved(self, origin: Array, width: Array) -> Interior:
         """In coordinates x with ``y = origin + width·x``."""

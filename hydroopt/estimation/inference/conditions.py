@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.machine.links import Shape
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.mass_statements import Shape
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial import inertia

@@ -41,16 +41,13 @@ def improved(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, cons
 
 
 def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, constraint_lower: Array,
-              constraint_upper: Array, where: str, names: Sequence[tuple[str, int]],
-              derivatives: Mapping[str, ca.Function] | None = None) -> Array:
+              constraint_upper: Array, where: str, names: Sequence[tuple[str, int]]) -> Array:
     """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` tells rows of constraints.
-
-    `derivatives` are the options grad_f, jac_g and hess_lag of nlpsol, for a caller who knows them.
 
     Raises:
         SolverError: IPOPT's reason in plain words, or a failed check.
     """
-    solver = ca.nlpsol("identification", "ipopt", nlp, {**OPTIONS, **(derivatives or {})})
+    solver = ca.nlpsol("identification", "ipopt", nlp, dict(OPTIONS))
     answer = solver(x0=start, lbx=lower, ubx=upper, lbg=constraint_lower, ubg=constraint_upper)
     status = solver.stats()["return_status"]
     if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):

@@ -120,6 +120,23 @@ def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
     return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())
 
 
+def deviations(rows: Array, scale: Array) -> Array:
+    """Standard deviation (p,) of parameters by rows (·, p) of unit variance; infinite where these are silent.
+
+    >>> deviations(np.array([[0.5, 0.0]]), np.ones(2))
+    array([ 2., inf])
+
+    Args:
+        rows: of their least squares.
+        scale: (p,) sizes of the parameters.
+    """
+    _, sizes, axes = np.linalg.svd(rows * scale)
+    known = np.append(sizes, np.zeros(len(axes)))[: len(axes)] > 1e-9 * sizes[0]
+    silent = np.linalg.norm(axes[~known], axis=0) > 1e-6
+    std = np.linalg.norm(axes[known] / sizes[known[: len(sizes)], None], axis=0)
+    return np.asarray(scale * np.where(silent, np.inf, std))
+
+
 def orthonormal(columns: Array) -> Array:
     """Orthonormal basis of a column space; columns are scaled to unit length first."""
     lengths = np.linalg.norm(columns, axis=0)

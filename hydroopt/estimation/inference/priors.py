@@ -62,24 +62,6 @@ def stated_priors(machine: Machine, parameters: ParameterSet) -> tuple[Prior, ..
                  for total, sigma in spreads if sigma is not None)
 
 
-def with_priors(parameters: ParameterSet, priors: Sequence[Prior]) -> Array:
-    """Standard deviation (p,) of each parameter by the machine file's priors and further ones, NaN where none tells it.
-
-    >>> import hydroopt as ho
-    >>> parameters = ho.Model(ho.load_machine("cat215b")).parameters
-    >>> scales = linear_prior(parameters, "scales", lambda p: p["boom.m"], 1520.0, 20.0)
-    >>> before, after = (float(with_priors(parameters, some)[parameters.index("boom.m")]) for some in ((), (scales,)))
-    >>> round(before, 1), round(after, 2), round((before**-2 + 20**-2) ** -0.5, 2)
-    (366.0, 19.97, 19.97)
-    """
-    rows, _ = prior_squares(parameters.information, parameters.nominal, priors)
-    _, sizes, axes = np.linalg.svd(rows * parameters.scale)
-    known = np.append(sizes, np.zeros(len(axes) - len(sizes))) > 1e-9 * sizes[0]
-    blind = np.linalg.norm(axes[~known], axis=0) > 1e-6
-    std = parameters.scale * np.linalg.norm(axes[known] / sizes[known[: len(sizes)], None], axis=0)
-    return np.where(blind, np.nan, std)
-
-
 def prior_squares(information: Array, mean: Array, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Rows A (·, p) and b of ``‖A·ψ − b‖² = (ψ − mean)ᵀ·information·(ψ − mean)`` and the squares of further priors."""
     diagonal = np.diag(information)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from hydroopt.results.diagnostic import Diagnostic, probability
-from hydroopt.results.wording import Kind
+from hydroopt.results.diagnostic import Diagnostic, Meaning, probability
 from hydroopt.spatial.inertia import Array
 
 CONTRADICTED = 1e-3
@@ -56,6 +55,9 @@ def _further(names: Sequence[str], group: str, own: NDArray[np.intp], off: Array
         return None
     far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], DETERMINED))
     most = [k for n, k in enumerate(np.argsort(-far, kind="stable")[:MOST].tolist()) if far[k] > 2.0 or not n]
-    return Diagnostic(Kind.STATED_CONTRADICTED, tuple(names[own[k]] for k in most), {
-        "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": len(squares),
-        "p_value": p, "probability": probability(p)})
+    return Diagnostic.of("stated numbers contradicted", tuple(names[own[k]] for k in most), {
+        "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": len(squares), "p_value": p,
+        "probability": probability(p)},
+        "The readings contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
+        "Check these numbers, or widen the sigmas of all of their kind: what readings do not determine stays as "
+        "uncertain as it is.", Meaning.CONTRADICTION)

@@ -65,24 +65,40 @@ class GaussianPosterior:
                                  self.right - self.root @ origin)
 
 
+def marginal(posterior: GaussianPosterior, some: slice) -> GaussianPosterior:
+    """That of some of the parameters, by as many coordinates; without log-det distances."""
+    root = np.asarray(np.linalg.qr(posterior.slope[some].T, mode="r")).T
+    return GaussianPosterior(posterior.offset[some], root, np.eye(len(root)), np.zeros(len(root)))
+
+
+def gaussian(rows: Array, right: Array, nominal: Array, scale: Array) -> GaussianPosterior:
+    """The Gaussian ``exp(−½‖rows·ψ − right‖²)``, `WIDEST` scales (p,) wide about `nominal` (p,) where rows are silent.
+    """
+    A, b = _in_scales(rows, right, nominal, scale)
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    p = len(nominal)
+    return GaussianPosterior(nominal + scale * (Vt.T @ (U.T @ b / s)), scale[:, None] * (Vt.T / s), np.eye(p),
+                             np.zeros(p))
+
+
 def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array, *, priors: bool = True) -> GaussianPosterior:
     """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors, or without them."""
     nominal, scale = problem.parameters.nominal, problem.parameters.scale
-    p = len(nominal)
+    rows, right = problem.prior_rows if priors else (np.zeros((0, len(nominal))), np.zeros(0))
+    made = gaussian(np.vstack([R, rows]), np.append(r, right), nominal, scale)
+    if problem.distance != "log-det":
+        return made
+    rows, right = problem.square_rows
+    A, b = _in_scales(np.vstack([R, rows]), np.append(r, right), nominal, scale)
+    p, (mean, slope) = len(nominal), ((made.offset - nominal) / scale, made.slope / scale[:, None])
+    triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
+    return GaussianPosterior(made.offset, made.slope, triangle[:p, :p], triangle[:p, p])
 
-    def stacked(rows: Array, right: Array) -> tuple[Array, Array]:
-        return (np.vstack([np.vstack([R, rows]) * scale, np.eye(p) / WIDEST]),
-                np.concatenate([r - R @ nominal, right - rows @ nominal, np.zeros(p)]))
 
-    A, b = stacked(*(problem.prior_rows if priors else (np.zeros((0, p)), np.zeros(0))))
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    mean, slope = Vt.T @ (U.T @ b / s), Vt.T / s
-    root, rest = np.eye(p), np.zeros(p)
-    if problem.distance == "log-det":
-        A, b = stacked(*problem.square_rows)
-        triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
-        root, rest = triangle[:p, :p], triangle[:p, p]
-    return GaussianPosterior(nominal + scale * mean, scale[:, None] * slope, root, rest)
+def _in_scales(rows: Array, right: Array, nominal: Array, scale: Array) -> tuple[Array, Array]:
+    """Rows and right-hand side for the distance of ψ from its nominal value in scales, which is at most `WIDEST`."""
+    return (np.vstack([rows * scale, np.eye(len(scale)) / WIDEST]),
+            np.append(right - rows @ nominal, np.zeros(len(scale))))
 
 
 def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
@@ -93,11 +109,15 @@ def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array
         taken: (m, n) which of them count.
         covariance: (n, n), not singular.
     """
-    made = []
+    return np.asarray((whitening(taken, covariance) @ np.where(taken[:, :, None], block, 0.0))[taken])
+
+
+def whitening(taken: NDArray[np.bool_], covariance: Array) -> Array:
+    """Matrices (m, n, n) that whiten the rows of each sample, as of `whitened`; rows that do not count become zero."""
+    made = np.zeros((*taken.shape, taken.shape[1]))
     for pattern in np.unique(taken, axis=0):
         here = np.flatnonzero(pattern)
         if here.size:
-            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
-            chosen = block[np.all(taken == pattern, axis=1)][:, here]
-            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
-    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))
+            samples = np.flatnonzero(np.all(taken == pattern, axis=1))
+            made[np.ix_(samples, here, here)] = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(here, here)]))
+    return made

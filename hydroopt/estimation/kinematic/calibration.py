@@ -1,38 +1,62 @@
-"""The answer of a kinematic calibration: geometry with uncertainty, diagnostics, and the folder it is saved in."""
+"""Kinematic calibration of machine and calibrator from poses, and its answer."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference.identifiability import FULL
-from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
-from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
-from hydroopt.estimation.kinematic.compliance_candidates import ComplianceChoice
-from hydroopt.estimation.kinematic.prediction import PredictionTest, prediction_test
+from hydroopt.estimation.kinematic import diagnostics
+from hydroopt.estimation.kinematic.accuracy import (
+    PredictionTest,
+    WorkspaceAccuracy,
+    prediction_test,
+    workspace_accuracy,
+)
+from hydroopt.estimation.kinematic.compliance_choice import ComplianceChoice
+from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.optimum import Optimum, optimum, random_start, solvable, with_farthest_pose
+from hydroopt.estimation.kinematic.pose_checks import (
+    refuse_planned,
+)
+from hydroopt.estimation.kinematic.pose_faults import Suspect, SuspectKind
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes, units_of
-from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
-from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
-from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
-from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
+from hydroopt.estimation.kinematic.residuals import (
+    ChainSides,
+    PoseResiduals,
+    chain_sides,
+    loop_fit,
+    predicted,
+    residual_sizes,
+    table_of,
+    units_of,
+)
+from hydroopt.estimation.kinematic.solution import (
+    JOINT,
+    KinematicSolution,
+    MachineText,
+    calibrated_machine,
+    machine_text,
+    uniqueness,
+)
+from hydroopt.estimation.kinematic.suspects import find_suspects
+from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
-from hydroopt.results.covariance_file import COVARIANCE, covariance_csv
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
-from hydroopt.results.tables import csv_text, number
+from hydroopt.results.tables import COVARIANCE, covariance_csv, csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 
@@ -87,11 +111,6 @@ class Calibration(KinematicSolution, Answer):
             self, nominal_prediction=prediction, tested=self.tested,
             impossible=self._written.reason, narrowed=self._written.narrowed, widened=self._written.widened,
             left_out=self.left_out, poses_left_out=before - len(problem.poses)))
-
-    @property
-    def contradictions(self) -> tuple[Diagnostic, ...]:
-        """What makes it suspect: diagnostics that contradict it, and a geometry that no machine can have."""
-        return (*super().contradictions, *of_kind(self.diagnostics, Kind.NO_CALIBRATED_MACHINE))
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -168,11 +187,11 @@ class Calibration(KinematicSolution, Answer):
         Raises:
             MachineError: no machine can have this geometry.
         """
-        return calibrated_machine.calibrated_machine(self).machine
+        return calibrated_machine(self).machine
 
     @cached_property
-    def _written(self) -> calibrated_machine.MachineText:
-        return calibrated_machine.machine_text(self)
+    def _written(self) -> MachineText:
+        return machine_text(self)
 
     @property
     def left_out(self) -> tuple[Suspect, ...]:
@@ -315,3 +334,70 @@ def _suspect(poses: Poses, suspect: Suspect) -> dict[str, Any]:
                         "strength": number(rival.strength), "size": number(rival.size)} for rival in suspect.rivals],
             "rows": poses.row[suspect.poses].tolist(), "poses": (np.flatnonzero(suspect.poses) + 1).tolist(),
             "paths": list(dict.fromkeys(map(str, poses.file[suspect.poses])))}
+
+
+def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int = 1, seed: int = 0) -> Calibration:
+    """Solve a kinematic calibration.
+
+    Args:
+        problem: what to calibrate from which poses.
+        method: ``joint`` or ``hierarchical``.
+        starts: number of initial guesses; the first is the nominal machine, the others are drawn about it with its
+            confidences.
+        seed: of the other initial guesses, and of the postures that stand for the workspace.
+
+    Raises:
+        ProblemError: unknown method, or the poses cannot determine the parameters.
+        SolverError: no trustworthy answer.
+    """
+    if starts < 1:
+        raise ProblemError(f"{starts} initial guesses are too few", where="--starts", remedy="ask for one or more")
+    refuse_planned(problem)
+    return _calibrated(problem, method, starts=starts, seed=seed)
+
+
+def _calibrated(problem: CalibrationProblem, method: str, *, starts: int, seed: int) -> Calibration:
+    """The calibration of poses that were measured."""
+    problem = solvable(problem, method)
+    rng = np.random.default_rng(seed)
+    answers: list[Optimum] = []
+    failed = 0
+    for k in range(starts):
+        try:
+            answers.append(optimum(problem, method, random_start(problem, rng) if k else problem.start))
+        except SolverError as error:
+            if starts == 1 or (k == starts - 1 and not answers):
+                raise with_farthest_pose(problem, error) from None
+            failed += 1
+    answers.sort(key=lambda answer: answer.cost)
+    _, theta, q, stages = answers[0]
+    linearised = linearise(problem, theta, closed_angles(problem, theta, q))
+    identified = observability(problem, linearised)
+    determined = int(np.sum(np.isfinite(identified.std)))
+    freedom = int(linearised.rank.sum()) + len(linearised.shared_residual) - determined
+    squares = float(linearised.pose_square.sum() + np.sum(linearised.shared_residual**2))
+    scale = float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
+    nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
+    fits = {"nominal": loop_fit(problem, problem.start, nominal), "train": loop_fit(problem, theta, q)}
+    if problem.validation is not None:
+        fits["validation"] = loop_fit(*predicted(problem, theta, problem.validation))
+    return Calibration(problem, method, theta, q, identified, linearised, scale, fits,
+                       find_suspects(problem, q, linearised, identified),
+                       uniqueness(identified, [answer[:2] for answer in answers], failed, problem.free), seed, stages)
+
+
+def without_suspects(calibration: Calibration, *, starts: int = 1) -> Calibration:
+    """The calibration solved again without the poses that contradict the others; unchanged where there are none.
+
+    Args:
+        calibration: with all poses; the answer keeps it as `all_poses`.
+        starts: as for `calibrate`.
+
+    Raises:
+        ProblemError, SolverError: see `calibrate`.
+    """
+    if not np.any(calibration.suspicious):
+        return calibration
+    solved = _calibrated(calibration.problem.without(calibration.suspicious), calibration.algorithm, starts=starts,
+                         seed=calibration.seed)
+    return replace(solved, all_poses=calibration)

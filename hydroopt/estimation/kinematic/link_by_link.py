@@ -15,18 +15,55 @@ All rows weigh the same, readings of angles are taken as exact, priors and the p
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.gauss_newton import DenseRows, minimise
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.stage_result import StageResult
 from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
+
+
+class StageResult(NamedTuple):
+    """What a stage gave; the last one, named 'all', is what the loops of all stages gave together.
+
+    Attributes:
+        stage: its name.
+        joint: the joint that moved unsensed; '' if all were sensed.
+        unknowns: parameters that no stage before had identified, with the circle's two (Eq. 3.28).
+        identified: names of those that this stage identified.
+        iterations: steps of Eq. 3.43 that were made, the columns "No. of Iterations" of Tables 4 to 7 and 9.
+        truncation: part p of the largest singular value below which the last step zeroed singular values.
+        rank: singular values that it kept.
+        rms: root mean square of the rows [m].
+    """
+
+    stage: str
+    joint: str
+    unknowns: int
+    identified: tuple[str, ...]
+    iterations: int
+    truncation: float
+    rank: int
+    rms: float
+
+    def __str__(self) -> str:
+        moved = f", {self.joint} moves" if self.joint else ""
+        return (f"{self.stage}{moved}: {self.iterations} iterations, {len(self.identified)} of {self.unknowns} "
+                f"unknowns identified, rank {self.rank} at a truncation of {100 * self.truncation:.1e} %, "
+                f"RMS {1e3 * self.rms:.3f} mm")
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {**self._asdict(), "identified": list(self.identified), "rms": number(self.rms)}
+
 
 FIRST, LAST = 5e-2, 5e-11
 """Singular values below this part of the largest are zeroed: at first, and after tenfold reductions at last."""
@@ -36,8 +73,6 @@ ROUNDOFF = 1e-14
 """Smallest predicted decrease [m], as a root mean square, for which a step is made."""
 STEPS = 100
 """Iterations after which a part p counts as converged."""
-STIFFEST = 1e6
-"""Damping, relative to the largest singular value squared, at which a step that still climbs is given up."""
 TOUCHED = 1e-6
 """Part of a parameter's unit vector in the null space from which on it counts as not identified."""
 RESIDUE = 1e-6
@@ -220,41 +255,33 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
     """Least squares by Eqs. 3.42 and 3.43.
 
     Singular values below a part p of the largest are zeroed; p shrinks once the iteration has converged, until this
-    frees directions without a gain. A step that increases the sum is repeated with a damping that grows from p² of the
-    largest.
+    frees directions without a gain. A step that increases the sum is repeated with more damping.
     """
-    residual, jacobian = rows(x)
-    square, p, iterations, rank = float(residual @ residual), FIRST, 0, 0
+    def of_unknown(own: Array) -> tuple[Array, Array]:
+        every = x.copy()
+        every[unknown] = own
+        residual, jacobian = rows(every)
+        return residual, jacobian[:, unknown]
+
+    place, p, iterations, rank = DenseRows(of_unknown, x[unknown], 1 / scale[unknown]), FIRST, 0, 0
     truncation, taken = p, 0  # of the last step
     while p >= LAST:
-        before = square
-        for _ in range(STEPS):
-            u, s, vt = np.linalg.svd(jacobian[:, unknown] * scale[unknown], full_matrices=False)
-            top = s.max(initial=0.0)
-            kept = s > p * top
-            u, s, vt = u[:, kept], s[kept], vt[kept]
-            along = u.T @ residual
-            if along @ along < max(SETTLED * square, ROUNDOFF**2 * len(residual)):
-                break
-            last, damping, lower = x, 0.0, False
-            while not lower and damping < STIFFEST:
-                x = last.copy()
-                x[unknown] -= scale[unknown] * (vt.T @ (s / (s**2 + damping * top**2) * along))
-                there, slope = rows(x)
-                lower = bool(there @ there < square)
-                damping = max(10 * damping, p**2)
-            if not lower:
-                x = last
-                break
-            residual, jacobian, square, iterations = there, slope, float(there @ there), iterations + 1
-            truncation, taken = p, len(s)
-        if len(s) > rank > 0 and square > (1 - SETTLED) * before:
+        before = place.cost
+        found = minimise(replace(place, truncation=p), tolerance=ROUNDOFF * np.sqrt(len(place.linearised[0])),
+                         relative=SETTLED, steps=STEPS)
+        place, iterations = found.place, iterations + found.steps
+        if found.steps:
+            truncation, taken = p, found.last.rank
+        if found.last.rank > rank > 0 and place.cost > (1 - SETTLED) * before:
             break
-        p, rank = p / 10, len(s)
-    _, s, vt = np.linalg.svd(jacobian[:, unknown] * scale[unknown])
+        p, rank = p / 10, found.last.rank
+    residual, jacobian = place.linearised
+    _, s, vt = np.linalg.svd(jacobian * scale[unknown])
     null_space = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
     identified = unknown[np.linalg.norm(null_space, axis=0) < TOUCHED]
-    return _Minimum(x, identified, iterations, truncation, taken, float(np.sqrt(square / len(residual))))
+    solution = x.copy()
+    solution[unknown] = place.x
+    return _Minimum(solution, identified, iterations, truncation, taken, float(np.sqrt(np.mean(residual**2))))
 
 
 def _refuse(problem: CalibrationProblem) -> None:

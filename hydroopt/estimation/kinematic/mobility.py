@@ -14,8 +14,8 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
-from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
+from hydroopt.estimation.kinematic.pose_checks import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
 from hydroopt.machine.actuators import Cylinder

@@ -23,6 +23,8 @@ ROUNDING = 1e-7
 """Size of a scaled column, relative to the largest, that is rounding only."""
 OPEN = 1e100
 """Rows of a pose in which a linkage cannot close: no search accepts it."""
+FARTHEST = 0.2
+"""Largest change [rad, m] of an unsensed angle in one step."""
 SHARE = 1e-5
 """Part of a parameter's unit vector in the null space from which on it counts as part of a combination."""
 
@@ -34,8 +36,8 @@ class Linearised:
     `kept` (N, m) is the part of each row's variance, 1, that is left where unsensed angles take away some of it.
     `shared` and `shared_residual` are those of known distances, then of what is known before. `whitening` (N, u, u)
     makes these rows of the raw rows at the channels `used`; `by_angles` (N, u, n) are their changes by each angle.
-    `unsensed` (N, k, 1 + P) are the parts of rows and Jacobian that the k joints which somewhere move unsensed explain:
-    minus their change that is most probable.
+    `unsensed` (N, k, 1 + P + n) are the parts of rows, Jacobian and changes by angles that the k joints which somewhere
+    move unsensed explain: minus their change that is most probable.
     """
 
     residual: Array
@@ -52,6 +54,23 @@ class Linearised:
     def whitened(self, rows: Array) -> Array:
         """(N, u, c) whitened changes of raw changes (N, m, c) of all rows."""
         return np.asarray(self.whitening @ rows[:, self.used])
+
+    def followed(self, problem: PoseEquations, q: Array, change: Array, given: Array | None = None) -> Array:
+        """Joint vectors (N, n) that are most probable, from those of the rows, after a change (P,) of the parameters.
+
+        `given` (N, n) is that of joints that are neither sensed nor move.
+        """
+        layout, moved = problem.layout, np.zeros(q.shape) if given is None else given
+        error = self.residual + self.jacobian @ change + np.einsum("nuj,nj->nu", self.by_angles, moved)
+        variance = np.where(layout.sensed, problem.angle_sigma, 0.0) ** 2
+        own: Array = layout.reading - variance * np.einsum("nuj,nu->nj", self.by_angles, error)
+        if self.unsensed is None:
+            return own
+        step = np.zeros(q.shape)
+        first, by_numbers, by_given = np.split(self.unsensed, [1, 1 + len(change)], axis=2)
+        step[:, layout.moving.any(axis=0)] = -np.clip(
+            first[:, :, 0] + by_numbers @ change + np.einsum("nkj,nj->nk", by_given, moved), -FARTHEST, FARTHEST)
+        return np.where(layout.moving, q + step, own)
 
     @property
     def pose_square(self) -> Array:
@@ -85,9 +104,9 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
                            ) from None
     own = np.broadcast_to(np.eye(len(used)), spread.shape) * present[:, None, :]
     white = np.linalg.solve(factor, np.concatenate(
-        [rows[:, :, None], jacobian, by_q * np.where(layout.moving, 1.0, 0.0)[:, None, :], by_q, own], axis=2))
-    total, n = len(problem.parameters), by_q.shape[2]
-    blind = white[:, :, 1 + total : 1 + total + n]
+        [rows[:, :, None], jacobian, by_q, by_q * np.where(layout.moving, 1.0, 0.0)[:, None, :], own], axis=2))
+    total, n = 1 + len(problem.parameters), by_q.shape[2]
+    blind = white[:, :, total + n : total + 2 * n]
     moving = layout.moving.any(axis=0)
     rank, kept_part, unsensed = present.sum(axis=1), present.astype(float), None
     if np.any(moving):
@@ -95,17 +114,17 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
         kept = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
         u = u * (kept & (s > 0))[:, None, :]
         inverse = (v.transpose(0, 2, 1) / np.where(s > 0, s, 1.0)[:, None, :]) @ u.transpose(0, 2, 1)
-        unsensed = inverse @ white[:, :, : 1 + total]
+        unsensed = inverse @ white[:, :, : total + n]
         white = white - u @ (u.transpose(0, 2, 1) @ white)
         rank = rank - (kept & (s > 0)).sum(axis=1)
         kept_part -= np.sum(u**2, axis=2)
-    extra, extra_residual = _shared(problem, theta)
-    return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, kept_part, extra, extra_residual,
-                      white[:, :, 1 + total + 2 * n :], used, white[:, :, 1 + total + n : 1 + total + 2 * n],
-                      unsensed)
+    extra, extra_residual = shared_rows(problem, theta)
+    return Linearised(white[:, :, 0], white[:, :, 1:total], rank, kept_part, extra, extra_residual,
+                      white[:, :, total + 2 * n :], used, white[:, :, total : total + n], unsensed)
 
 
-def _shared(problem: PoseEquations, theta: Array) -> tuple[Array, Array]:
+def shared_rows(problem: PoseEquations, theta: Array) -> tuple[Array, Array]:
+    """Rows (K, P) and residuals (K,) of known distances, then of what is known before, at parameters (P,)."""
     rows, residuals = [], []
     for ends, length, sigma in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
                                    strict=True):
@@ -147,6 +166,12 @@ class Observability:
         size, values, vectors = self._normalised
         away = vectors[:, ~significant(values, INFORMATION_TOLERANCE)] / (size * self.scale)[:, None]
         return np.linalg.qr(away)[0] if away.shape[1] else away
+
+    @property
+    def identifiable(self) -> Array:
+        """(f, r) directions by the parameters, orthonormal in units of `scale`, that the data identify."""
+        hidden = self.null_space.shape[1]
+        return np.asarray(self.scale[:, None] * np.linalg.qr(self.null_space, mode="complete")[0][:, hidden:])
 
     @property
     def rank(self) -> int:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +25,26 @@ from hydroopt.spatial.inertia import Array
 ALWAYS_KNOWN = (ParameterKind.DRIFT, ParameterKind.BIAS)
 """Kinds whose confidences count as measurements, with and without priors."""
 PoseLoss = Literal["squares", "huber", "student_t"]
+HUBER = 3.0
+"""Error of a pose, in units of what is expected, beyond which Huber's loss grows linearly."""
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t."""
+
+
+def robust_loss(square: ca.SX, loss: str, expected: ca.SX) -> ca.SX:
+    """Cost of a squared error in standard deviations, of which `expected` are usual; near zero it is the square.
+
+    >>> robust_loss(ca.SX(4.0), "squares", ca.SX(1.0))
+    SX(4)
+    >>> robust_loss(ca.SX(36.0), "huber", ca.SX(1.0))
+    SX(27)
+    """
+    if loss == "huber":
+        limit = HUBER**2 * expected
+        return ca.if_else(square <= limit, square, 2 * ca.sqrt(limit * ca.fmax(square, limit)) - limit)
+    if loss == "student_t":
+        return (FREEDOM + expected) * ca.log1p(square / (FREEDOM + expected))
+    return square
 
 
 @dataclass(frozen=True, eq=False, repr=False)

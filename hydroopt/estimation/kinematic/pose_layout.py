@@ -10,17 +10,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.turn_readings import COMPONENTS, turns
-from hydroopt.estimation.kinematic.unread_joints import determined
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.addresses import fixture_numbers
 from hydroopt.machine.calibration_chain import Fixture, Stage
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.simulation import postures
+from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
+
+COMPONENTS = (".rx", ".ry", ".rz", ".qw", ".qx", ".qy", ".qz")
+"""Ends of the channels of an orientation: rotation vector [rad], then quaternion."""
+NOT_ONE = 1e-2
+"""How far the length of a quaternion may be from one by its rounding."""
+
+
+def turns(poses: Poses) -> dict[str, Array]:
+    """All orientations of a table as channels of rotation vectors (N,) [rad]; NaN where nothing was read.
+
+    Raises:
+        ProblemError: a quaternion is incomplete or not of length one, a rotation vector is incomplete or longer than
+            one turn, or both are stated; the sentence names the row.
+    """
+    found: dict[str, Array] = {}
+    names = dict.fromkeys(name[:-3] for name in poses.channels if name.endswith(COMPONENTS))
+    for name in names:
+        vector, quaternion = (
+            np.stack([poses.channels.get(name + end, np.full(len(poses), np.nan)) for end in ends], axis=1)
+            for ends in (COMPONENTS[:3], COMPONENTS[3:]))
+        for values, ends in ((vector, COMPONENTS[:3]), (quaternion, COMPONENTS[3:])):
+            there = np.isfinite(values)
+            for row in np.flatnonzero(there.any(axis=1) & ~there.all(axis=1)):
+                lost = name + ends[int(np.argmin(there[row]))]
+                raise ProblemError(f"'{lost}' is not stated, but other components of this orientation are",
+                                   where=_row(poses, row), remedy="state all components, or none")
+        both = np.isfinite(vector[:, 0]) & np.isfinite(quaternion[:, 0])
+        if np.any(both):
+            raise ProblemError(f"the orientation '{name}' is stated as a rotation vector and as a quaternion",
+                               where=_row(poses, np.argmax(both)), remedy="state one of them")
+        size = np.linalg.norm(quaternion, axis=1)
+        for row in np.flatnonzero(np.abs(size - 1) > NOT_ONE):
+            raise ProblemError(f"the quaternion '{name}.qw' to '.qz' has the length {size[row]:.4g}, not 1",
+                               where=_row(poses, row), remedy="normalise it, and check that its columns are in the "
+                               "order of their headers")
+        for row in np.flatnonzero(np.linalg.norm(vector, axis=1) > 2 * np.pi):
+            raise ProblemError(f"the rotation vector '{name}.rx' to '.rz' is longer than one turn",
+                               where=_row(poses, row), remedy="check its unit")
+        values = np.where(np.isfinite(quaternion[:, :1]), _vectors(quaternion), vector)
+        found |= {name + end: values[:, k] for k, end in enumerate(COMPONENTS[:3])}
+    return found
+
+
+def _vectors(quaternion: Array) -> Array:
+    """Rotation vectors (N, 3) [rad] of quaternions (N, 4), scalar first; the shorter way round."""
+    turned = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    turned = np.where(turned[:, :1] < 0, -turned, turned)
+    sine = np.linalg.norm(turned[:, 1:], axis=1)
+    angle = 2 * np.arctan2(sine, turned[:, 0])
+    return np.asarray(turned[:, 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)[:, None])
+
+
+def _row(poses: Poses, row: Any) -> str:
+    return f"{poses.file[row] or poses.name}, data row {poses.row[row]}"
+
+
+POSTURES = 5
+"""Random positions of the unread joints at which their readings are looked at."""
+SMALLEST = 1e-6
+"""Part of the largest singular value from which on a direction counts as determined."""
+
+
+def determined(model: KinematicModel, reading: Array, unread: NDArray[np.bool_],
+               present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which poses (N,) determine all their unread joints, by the nominal geometry, from rows other than the loop's.
+
+    A fixture that holds the tip tells the machine's geometry: which joints it is to tell instead, a stage states.
+
+    Args:
+        model: geometry.
+        reading: (N, n) joints as read [rad, m].
+        unread: (N, n) those that are sought.
+        present: (N, m) which rows are read.
+    """
+    found = np.ones(len(reading), dtype=bool)
+    low, high = limits(model)
+    rng = np.random.default_rng(0)
+    for rows, joints in {(each.tobytes(), other.tobytes()): (each, other)
+                         for each, other in zip(present, unread, strict=True) if np.any(other)}.values():
+        same = np.flatnonzero(np.all(present == rows, axis=1) & np.all(unread == joints, axis=1))
+        q = np.where(joints, rng.uniform(low, high, (POSTURES, len(low))), np.nan_to_num(reading[same[0]]))
+        by_q = model.over(model.observed_by_angles, model.parameters.nominal, q,
+                          np.zeros((POSTURES, model.place_size)))[1]
+        part = by_q[:, model.loop_rows:][:, rows[model.loop_rows:]][:, :, joints]
+        ranks = np.linalg.matrix_rank(part, rtol=SMALLEST) if part.shape[1] else np.zeros(1)
+        found[same] = ranks.max() == np.sum(joints)
+    return found
+
 
 TRIED, ROUNDING = 3, 1e-9
 """Random geometries and postures at which readings are looked at, and the derivative by a joint that counts as none."""
@@ -61,6 +147,11 @@ class PoseLayout:
     def fixture(self) -> NDArray[np.intp]:
         """(N, 3) parameters that are the position of the fixture; −1 without one."""
         return self.place[:, :3]
+
+    @property
+    def expected(self) -> Array:
+        """(N,) squared errors in standard deviations that are usual for each pose."""
+        return np.asarray(np.maximum(self.present.sum(axis=1), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +299,7 @@ class LayoutBuilder:
     def _stands(self, fixture: Fixture, stage: str) -> list[int]:
         """Parameters that are a fixture's place in a stage."""
         owner = f"{fixture.name}.{stage}" if fixture.moves and stage else fixture.name
-        numbers = tuple(fixture_numbers(fixture))
+        numbers = self.machine.fixture_numbers(fixture)
         if f"{owner}.x" not in self.names:
             for number in numbers:
                 note = self.machine.notes.get(number.path)

@@ -13,13 +13,13 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import listing
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.kinematic.instrument_poses import placed
-from hydroopt.estimation.kinematic.joint import nonlinear_program
+from hydroopt.estimation.kinematic.maximum_likelihood import nonlinear_program
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
 from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import recent_chain
 from hydroopt.notebook_card import Shown
 

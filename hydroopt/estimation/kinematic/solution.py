@@ -1,21 +1,89 @@
-"""The solution of a kinematic calibration: parameters with uncertainty, joint vectors, fit and suspects."""
+"""The solution of a kinematic calibration: parameters with uncertainty, joint vectors, fit, suspects, machine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.errors import HydrooptError
+from hydroopt.estimation.kinematic.link_by_link import StageResult
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
+from hydroopt.estimation.kinematic.pose_faults import Suspect
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.stage_result import StageResult
-from hydroopt.estimation.kinematic.suspect import Suspect
-from hydroopt.estimation.kinematic.uniqueness import Uniqueness
+from hydroopt.machine.calibrated_numbers import closed_flat
+from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
+from hydroopt.machine.links import Note
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.results.fit import Fit
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
+
+SAME = 0.1
+"""Distance in standard deviations within which two solutions are the same."""
+
+
+@dataclass(frozen=True)
+class Uniqueness:
+    """What is known about other solutions.
+
+    Attributes:
+        null_directions: combinations that neither data nor priors determine.
+        starts: initial guesses solved from.
+        same: how many of them lead to the same solution, `failed` to none, and `worse` to one with larger cost.
+        next_cost: cost of the best worse solution above that of the solution; NaN where there is none.
+    """
+
+    null_directions: int
+    starts: int
+    same: int
+    failed: int = 0
+    worse: int = 0
+    next_cost: float = float("nan")
+
+    @property
+    def examined(self) -> bool:
+        """Whether there was more than one initial guess."""
+        return self.starts > 1
+
+    def __str__(self) -> str:
+        if self.null_directions:
+            return f"not unique, {self.null_directions} combinations are not identifiable"
+        if not self.examined:
+            return "not examined, solved from one initial guess"
+        parts = [f"{self.same} of {self.starts} initial guesses lead to the same solution"]
+        parts += [f"{self.failed} to none"] * bool(self.failed)
+        parts += [f"{self.worse} to worse ones (the next by {self.next_cost:.3g} in squared errors)"] * bool(self.worse)
+        return ", ".join(parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {"null_directions": self.null_directions, "starts": self.starts, "same": self.same,
+                "failed": self.failed, "worse": self.worse, "next_cost": number(self.next_cost), "text": str(self)}
+
+
+def uniqueness(observability: Observability, solutions: list[tuple[float, Array]], failed: int,
+               free: NDArray[np.bool_]) -> Uniqueness:
+    """Compare solutions, each cost and parameters (P,), the best first, in units of the best one's standard deviations.
+
+    Args:
+        observability: at the best solution.
+        solutions: one for each initial guess that led to one.
+        failed: how many led to none.
+        free: (P,) which parameters are estimated.
+    """
+    null = 0 if np.any(observability.prior) else int(observability.null_space.shape[1])
+    std = np.where(np.isfinite(observability.std), observability.std, np.inf)
+    least, best = solutions[0]
+    same = [bool(np.all(np.abs(theta - best)[free] < SAME * std)) for _, theta in solutions]
+    other = [cost - least for (cost, _), equal in zip(solutions, same, strict=True) if not equal]
+    return Uniqueness(null, len(solutions) + failed, sum(same), failed, len(other), min(other, default=float("nan")))
+
 
 JOINT, HIERARCHICAL = "joint", "hierarchical"
 METHODS = (JOINT, HIERARCHICAL)
@@ -128,3 +196,104 @@ class KinematicSolution:
         pairs = {(min(name, other), max(name, other)): r for name, (other, r) in self.correlations.items()
                  if abs(r) > CORRELATED and (name in geometry or other in geometry)}
         return dict(sorted(pairs.items(), key=lambda item: -abs(item[1])))
+
+
+class WidenedLimits(NamedTuple):
+    """Limits (lower, upper) [rad, m] of a joint before, and after poses that lie beyond them."""
+
+    joint: str
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+
+class CalibratedMachine(NamedTuple):
+    """The machine with the calibrated geometry, and joint limits that gave way: to its strokes, and to its poses."""
+
+    machine: Machine
+    narrowed: tuple[NarrowedLimits, ...]
+    widened: tuple[WidenedLimits, ...]
+
+
+class MachineText(NamedTuple):
+    """Text of the calibrated machine's file; or "" and the reason why no machine can have this geometry."""
+
+    text: str = ""
+    reason: str = ""
+    narrowed: tuple[NarrowedLimits, ...] = ()
+    widened: tuple[WidenedLimits, ...] = ()
+
+
+def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
+    """The machine with the calibrated geometry and its confidences.
+
+    Joint limits beyond the ends of a stroke give way to it, and those short of poses to these, since limits are often
+    assumed or rounded. A vector keeps
+    the largest of its confidences, and correlations are lost; angles of locked joints belong to the poses and are not
+    written.
+
+    Raises:
+        MachineError: no machine can have this geometry.
+    """
+    problem = solution.problem
+    machine = problem.model.machine
+    source = f"calibrated by {solution.algorithm} from {problem.poses.name}"
+    numbers, values, notes = machine.numbers, {}, {}
+    of_paths = dict(machine.notes)
+    written: dict[str, float] = {}
+    for name, value, std in zip(problem.parameters.names, solution.theta, solution.std, strict=True):
+        if name not in numbers:  # angles of locked joints, drifts, places of fixtures that move
+            continue
+        held = name in problem.fixed or solution.at_bound[problem.parameters.index(name)]
+        category = solution.category(name)
+        identified = category == "full" or (category == "combination" and np.isfinite(std))
+        if not (held or identified):  # an arbitrary number of a combination is no result
+            continue
+        values[name] = float(value)
+        if name in problem.fixed:
+            continue
+        path = numbers[name].path
+        before = of_paths.get(path, Note())
+        if np.isfinite(std) and std > 0:
+            written[path] = max(written.get(path, 0.0), float(std))
+            before = before.model_copy(update={"sigma": written[path], "relative": False})
+        notes[name] = of_paths[path] = before.model_copy(update={"source": source})
+    widened = tuple(_widened(solution))
+    reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
+    return CalibratedMachine(*within_strokes(reached.with_values(closed_flat(reached, values), notes)), widened)
+
+
+def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
+    """Limits of the machine's joints that poses exceed, without the poses that contradict the others."""
+    problem = solution.problem
+    for link in problem.model.machine.links:
+        if link.name not in problem.model.joints or link.joint.type == "locked":
+            continue
+        k = problem.model.joints.index(link.name)
+        angles = solution.q[problem.layout.sensed[:, k] & ~solution.suspicious, k]
+        lower, upper = link.joint.range
+        after = min(lower, float(np.min(angles, initial=lower))), max(upper, float(np.max(angles, initial=upper)))
+        if after != (lower, upper):
+            yield WidenedLimits(link.name, (lower, upper), after)
+
+
+def machine_text(solution: KinematicSolution) -> MachineText:
+    """The calibrated machine's file, where a machine can have this geometry."""
+    try:
+        made = calibrated_machine(solution)
+        text = dump_machine(made.machine)
+        read_machine(text, where="the calibrated machine")
+    except (HydrooptError, ValueError) as error:
+        return MachineText(reason=_reason(solution.problem.model.machine, error))
+    return MachineText(text, narrowed=made.narrowed, widened=made.widened)
+
+
+def _reason(machine: Machine, error: Exception) -> str:
+    """The first reason in words, with the name of the part."""
+    lines = [line.split(" [type=")[0].strip() for line in str(error).splitlines()]
+    if len(lines) < 3:
+        return lines[0]
+    kind, number, *rest = lines[1].split(".")
+    parts = getattr(machine, kind, ())
+    named = number.isdigit() and int(number) < len(parts)
+    place = ".".join([parts[int(number)].name, *rest]) if named else lines[1]
+    return f"{place}: {lines[2][0].lower()}{lines[2][1:]}."

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy import special  # `stats` takes longer to load than most calibrations
 
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
-from hydroopt.estimation.kinematic.pose_faults import SHORTEST, Fault, faults
+from hydroopt.estimation.kinematic.pose_faults import SHORTEST, Fault, Suspect, SuspectKind, faults
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
 from hydroopt.spatial.inertia import Array
 
 FALSE_ALARM = 1e-3

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.kinematic.observability import FARTHEST
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
@@ -16,8 +17,8 @@ TIGHT = 1e-11
 """Gap [m] of a loop that counts as closed."""
 STEPS = 20
 """Steps of Newton's method towards the unsensed angles of the nominal machine."""
-FARTHEST, SMALL = 0.2, 1e-6
-"""Largest change of an unsensed angle in one of these steps, and the one that ends them [rad, m]."""
+SMALL = 1e-6
+"""Change of an unsensed angle [rad, m] that ends these steps."""
 GUESSES = 24
 """Angles tried for a joint that moves unsensed, over its range."""
 

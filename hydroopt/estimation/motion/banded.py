@@ -1,20 +1,49 @@
-"""Normal equations whose unknowns meet only their neighbours, but for a few that meet all."""
+"""Least squares whose unknowns meet only their neighbours, but for a few that meet all: banded with a border."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
 
+from hydroopt.logs.spline import windowed
 from hydroopt.spatial.inertia import Array
+
+
+class Rows(NamedTuple):
+    """Residuals ``left − by_path·δx − by_common·δy`` of m readings in each of N samples, with errors of size one.
+
+    `left` (N, m); `by_path` (N, m, w) by w neighbouring unknowns from the `first` (N,) on; `by_common` (N, m, p).
+    """
+
+    left: Array
+    by_path: Array
+    by_common: Array
+    first: NDArray[np.intp]
+
+    @classmethod
+    def of_path(cls, left: Array, by_path: Array, common: int, first: NDArray[np.intp]) -> Rows:
+        """Those that p `common` unknowns do not change."""
+        return cls(left, by_path, np.zeros((*left.shape, common)), first)
+
+    def matrices(self, size: int) -> tuple[csr_array, Array, Array]:
+        """By k unknowns x (N·m, k) and by y (N·m, p), and residuals (N·m,)."""
+        samples, m, width = self.by_path.shape
+        by_path = windowed(self.by_path.reshape(-1, width), np.repeat(self.first, m), size)
+        return by_path, self.by_common.reshape(samples * m, -1), self.left.ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Bordered:
     """``[A B; Bᵀ C]·[x; y] = [a; b]``: A (k, k) in lower band storage (w, k), B (k, p), C (p, p).
+
+    `squares` is the sum of squared residuals at x = 0, y = 0.
 
     >>> made = Bordered(np.array([[2.0, 2.0], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[3.0]]),
     ...                 np.array([1.0, 0.0]), np.array([1.0]))
@@ -29,6 +58,29 @@ class Bordered:
     corner: Array
     right: Array
     right_corner: Array
+    squares: float = 0.0
+
+    @classmethod
+    def of(cls, blocks: Iterable[Rows], size: int, width: int, common: int) -> Bordered:
+        """The normal equations of rows, in `size` unknowns of which `width` neighbours meet, and `common` ones."""
+        return cls(np.zeros((width, size)), np.zeros((size, common)), np.zeros((common, common)), np.zeros(size),
+                   np.zeros(common)).plus(blocks)
+
+    def plus(self, blocks: Iterable[Rows]) -> Bordered:
+        """With more rows."""
+        band, border, corner, right, right_corner, squares = (
+            self.band.copy(), self.border, self.corner, self.right, self.right_corner, self.squares)
+        size = len(right)
+        for rows in blocks:
+            by_path, by_common, left = rows.matrices(size)
+            product = by_path.T @ by_path
+            for below, diagonal in enumerate(band[: rows.by_path.shape[2]]):
+                diagonal[: size - below] += product.diagonal(-below)
+            border, corner = border + by_path.T @ by_common, corner + by_common.T @ by_common
+            right, right_corner = right + by_path.T @ left, right_corner + by_common.T @ left
+            squares += float(left @ left)
+        return replace(self, band=band, border=border, corner=corner, right=right, right_corner=right_corner,
+                       squares=squares)
 
     @cached_property
     def _factor(self) -> Array:
@@ -45,6 +97,15 @@ class Bordered:
         """Matrix (p, p) and right side (p,) of what is left for y."""
         by_border, by_right = self._solved
         return self.corner - self.border.T @ by_border, self.right_corner - self.border.T @ by_right
+
+    def projected(self, rows: Rows) -> Array:
+        """Rows (N·m, p+1) of y and the right side, in which x is the most probable one for every y.
+
+        Their sum of squares is that of `reduced`, without the rounding of a product.
+        """
+        by_border, by_right = self._solved
+        by_path, by_common, left = rows.matrices(len(self.right))
+        return np.column_stack([by_common - by_path @ by_border, left - by_path @ by_right])
 
     def inner(self, y: Array) -> Array:
         """x (k,) that goes with y (p,)."""
@@ -76,12 +137,3 @@ def inverse_band(factor: Array) -> Array:
     for offset in range(1, width):
         found[offset, size - offset:] = 0.0
     return found
-
-
-def add_blocks(band: Array, blocks: Array, first: NDArray[np.intp], size: int) -> None:
-    """Add blocks (m, w, w) to a matrix in lower band storage, block k from the unknown `first`[k]·`size` on; no two
-    blocks begin at the same one."""
-    start = first * size
-    for a in range(blocks.shape[1]):
-        for b in range(a + 1):
-            band[a - b, start + b] += blocks[:, a, b]

@@ -12,9 +12,8 @@ from hydroopt.errors import HydrooptError, SolverError
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.problem import Readings, SensorProblem, fit_motion
 from hydroopt.logs.recording import ChannelGroup, Recording
-from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
-from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
+from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
 from hydroopt.units import factor
 
@@ -93,8 +92,11 @@ def misread(problem: SensorProblem, found: FittedPaths | None) -> Diagnostic | N
             explains = after * BETTER < before or after < SOUND < FAR < before
             if explains and (best is None or after < best[0]):
                 log = problem.logs[0]
-                best = after, Diagnostic(Kind.SENSOR_MISREAD, tuple(subject), {
-                    "log": log.path or log.name, "reading": reading.words, "before": min(before, 1e6), "after": after})
+                best = after, Diagnostic.of("sensor misread", tuple(subject), {
+                    "log": log.path or log.name, "reading": reading.words, "before": min(before, 1e6), "after": after},
+                    "In {log}, {subject} contradicts the other sensors, and agrees with {reading}: the largest misfit "
+                    "falls from {before:.3g} to {after:.3g} times what is stated.",
+                    "Correct unit, axes or mounting in the log, its map or the machine file.", Meaning.REFUTATION)
             if best is not None and best[0] < SOUND:
                 return best[1]
     return None if best is None else best[1]

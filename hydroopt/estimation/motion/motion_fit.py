@@ -16,16 +16,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.motion.banded import Bordered, add_blocks
+from hydroopt.estimation.motion.banded import Bordered, Rows
 from hydroopt.estimation.motion.observations import PAST, WEIGHTS, Common, Observations, longest
 from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.machine.sensor import Lag
+from hydroopt.machine.sensors import Lag
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
 
@@ -70,15 +72,14 @@ class Stretch:
         return replace(self, path=self.path.moved(step))
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Readings linearised: whitened residuals (N, m), derivatives by the coefficients (N, m, width·n) from the `first`
-    (N,) on and by the common numbers (N, m, p)."""
+class Linearised(NamedTuple):
+    """Normal equations of all stretches, matrix (p, p) and right side (p,) of what they leave for the common numbers
+    with their priors, and the objective."""
 
-    left: Array
-    by_path: Array
-    by_common: Array
-    first: NDArray[np.intp]
+    equations: list[Bordered]
+    matrix: Array
+    right: Array
+    objective: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +142,7 @@ class MotionFit:
                 late = {lag.name: np.full(n, -past / self._time_constant(lag))} if lag.sigma else {}
                 for name, factor in (shift | late).items():
                     by_common[:, chosen, self.places[name]] += flow[:, chosen] * factor[:, None]
-            own = sum(np.einsum("kw,kmn->kmwn", support.values[order], by[:, chosen])
-                      for order, by in enumerate(by_motion))
+            own = support.along([by[:, chosen] for by in by_motion]).reshape(n, len(chosen), path.width, -1)
             knots = (support.first - first)[:, None] + np.arange(path.width)
             by_path[at[:, None, None], chosen[:, None], knots[:, None, :]] += weight * own
         for k in np.flatnonzero(data.biased):
@@ -153,21 +153,17 @@ class MotionFit:
         left = np.where(root > 0, data.values[part] - values, 0.0) * root
         if not np.all(np.isfinite(values)):  # a linkage that cannot close
             by_path, by_common = np.nan_to_num(by_path), np.nan_to_num(by_common)
-        return Rows(left, by_path.reshape(n, m, -1) * root[:, :, None], by_common * root[:, :, None], first)
+        return Rows(left, by_path.reshape(n, m, -1) * root[:, :, None], by_common * root[:, :, None],
+                    first * len(self.intensity))
 
-    def left(self, stretch: Stretch, data: Observations, part: slice = slice(None)) -> Array:
+    def _read(self, stretch: Stretch, data: Observations) -> Iterator[Rows]:
+        """All samples of observations, some at a time."""
+        for start in range(0, len(data.t), CHUNK):
+            yield self.rows(stretch, data, slice(start, min(start + CHUNK, len(data.t))))
+
+    def left(self, stretch: Stretch, data: Observations) -> Array:
         """Whitened residuals (N, m); zero where there is no reading."""
-        made = self.readings[data.channels]
-        t, _ = self._stamps(data, part)
-        g = self.value[[self.places[number.name] for number in made.numbers]]
-        values = np.zeros((len(t), len(data.channels)))
-        for _, chosen, past, weight in self._moments(data):
-            q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t - past))
-            values[:, chosen] += weight * made.values(q, qd, qdd, g)[:, chosen]
-        for k in np.flatnonzero(data.biased):
-            values[:, k] += self.value[self.places[data.bias(data.channels[k])]]
-        used = data.used[part] & np.isfinite(values)
-        return np.where(used, data.values[part] - values, 0.0) / data.sigma
+        return np.concatenate([rows.left for rows in self._read(stretch, data)])
 
     def _moments(self, data: Observations) -> Iterator[tuple[Lag, NDArray[np.intp], float, float]]:
         """By lags the channels that have them, and how long ago [s] they read the motion with which weight."""
@@ -193,73 +189,33 @@ class MotionFit:
         by = {data.bias("delay"): -np.ones_like(t) / (1 + drift), data.bias("drift"): -t / (1 + drift)}
         return t, {name: factor for name, factor in by.items() if name in self.places}
 
-    def equations(self, stretch: Stretch) -> tuple[Bordered, float]:
-        """Normal equations of a stretch without the priors of the common numbers, and its part of the objective."""
-        path, n = stretch.path, len(self.intensity)
-        count, p = len(path.coefficients), len(self.common)
-        widest = (path.width + max(stretch.back(data) for data in stretch.data)) * n
-        band, border = np.zeros((widest, count * n)), np.zeros((count * n, p))
-        corner, right, right_corner = np.zeros((p, p)), np.zeros(count * n), np.zeros(p)
-        total = 0.0
-        for data in stretch.data:
-            for start in range(0, len(data.t), CHUNK):
-                part = slice(start, min(start + CHUNK, len(data.t)))
-                rows = self.rows(stretch, data, part)
-                total += float(np.sum(rows.left**2))
-                order = np.argsort(rows.first, kind="stable")
-                first, at = np.unique(rows.first[order], return_index=True)
-                across = rows.by_path[order].transpose(0, 2, 1)
-                by_common, left = rows.by_common[order], rows.left[order]
-                add_blocks(band, np.add.reduceat(across @ across.transpose(0, 2, 1), at), first, n)
-                places = first[:, None] * n + np.arange(across.shape[1])
-                np.add.at(border, places, np.add.reduceat(across @ by_common, at))
-                np.add.at(right, places, np.add.reduceat((across @ left[:, :, None])[:, :, 0], at))
-                flat = by_common.reshape(left.size, p)
-                corner += flat.T @ flat
-                right_corner += flat.T @ left.ravel()
-        away = path.coefficients - self.middle
-        loose = 1 / (WEAK * self.span) ** 2
-        band[0] += np.tile(loose, count)
-        right -= (loose * away).ravel()
-        total += float(np.sum(loose * away**2))
-        if isinstance(path, Spline):
-            rough = path.roughness
-            for offset, diagonal in enumerate(rough):
-                size = count - offset
-                values = (diagonal[:size, None] / self.intensity).ravel()
-                band[offset * n, : size * n] += values
-            pulled = _band_times(rough, path.coefficients)
-            right -= (pulled / self.intensity).ravel()
-            total += float(np.sum(path.coefficients * pulled / self.intensity))
-        return Bordered(band, border, corner, right, right_corner), total
+    def read(self, stretch: Stretch) -> Bordered:
+        """Normal equations of what was read along a stretch, and of what bounds it where nothing was."""
+        path, n, p = stretch.path, len(self.intensity), len(self.common)
+        count = len(path.coefficients)
+        loose = 1 / (WEAK * self.span)
+        bounds = Rows.of_path((self.middle - path.coefficients) * loose, np.tile(np.diag(loose), (count, 1, 1)), p,
+                              np.arange(count) * n)
+        rows = (some for data in stretch.data for some in self._read(stretch, data))
+        width = path.width + max(stretch.back(data) for data in stretch.data)
+        return Bordered.of(chain([bounds], rows), count * n, width * n, p)
 
-    def linearised(self) -> tuple[list[Bordered], Array, Array, float]:
-        """Normal equations of all stretches, matrix and right side of what they leave for the common numbers with
-        their priors, and the objective."""
-        found = [self.equations(stretch) for stretch in self.stretches]
-        information = 1 / self.sigma**2
-        prior = np.array([each.prior for each in self.common])
+    def linearised(self, read: Sequence[Bordered] | None = None) -> Linearised:
+        """What was `read` along each stretch, with the third derivative as white noise and the common numbers' priors.
+        """
+        p = len(self.common)
+        read = [self.read(stretch) for stretch in self.stretches] if read is None else read
+        found = [equations.plus([stretch.path.jerk(self.intensity**-0.5, p)]) if isinstance(stretch.path, Spline)
+                 else equations for stretch, equations in zip(self.stretches, read, strict=True)]
+        information, prior = 1 / self.sigma**2, np.array([each.prior for each in self.common])
         matrix, right = np.diag(information), information * (prior - self.value)
-        for each, _ in found:
+        for each in found:
             own, side = each.reduced
             matrix, right = matrix + own, right + side
-        total = sum(cost for _, cost in found) + float(np.sum(information * (self.value - prior) ** 2))
-        return [each for each, _ in found], matrix, right, total
+        total = sum(each.squares for each in found) + float(np.sum(information * (self.value - prior) ** 2))
+        return Linearised(found, matrix, right, total)
 
-    def objective(self) -> float:
-        """The objective alone."""
-        prior = np.array([each.prior for each in self.common])
-        total = float(np.sum(((self.value - prior) / self.sigma) ** 2))
-        for stretch in self.stretches:
-            path = stretch.path
-            total += sum(float(np.sum(self.left(stretch, data) ** 2)) for data in stretch.data)
-            total += float(np.sum(((path.coefficients - self.middle) / (WEAK * self.span)) ** 2))
-            if isinstance(path, Spline):
-                total += float(np.sum(path.coefficients * _band_times(path.roughness, path.coefficients)
-                                      / self.intensity))
-        return total
-
-    def stepped(self, equations: Sequence[Bordered], step: Array, part: float = 1.0) -> MotionFit:
+    def stepped(self, equations: Sequence[Bordered], step: Array, part: float) -> MotionFit:
         """After `part` of a step of the common numbers (p,) and of what follows from it."""
         n = len(self.intensity)
         value = np.clip(self.value + part * step, *self._possible)
@@ -273,27 +229,15 @@ class MotionFit:
         n = len(self.intensity)
         total, free = np.zeros(n), 0
         for stretch, each in zip(self.stretches, equations, strict=True):
-            path = stretch.path
-            if not isinstance(path, Spline):
+            if not isinstance(path := stretch.path, Spline):
                 continue
-            rough, spread = path.roughness, each.inverse_band(covariance)
-            count = len(path.coefficients)
-            total += np.sum(path.coefficients * _band_times(rough, path.coefficients), axis=0)
-            for offset, diagonal in enumerate(rough):
+            spread, count = each.inverse_band(covariance), len(path.coefficients)
+            total += np.sum(path.jerk(np.ones(n), 0).left ** 2, axis=0)
+            for offset, diagonal in enumerate(path.roughness):
                 own = spread[offset * n, : (count - offset) * n].reshape(-1, n)
                 total += (1 + (offset > 0)) * np.sum(diagonal[: count - offset, None] * own, axis=0)
             free += count - 3
         return total / free if free else self.intensity
-
-
-def _band_times(band: Array, x: Array) -> Array:
-    """A symmetric matrix in lower band storage (w, k) times x (k, n)."""
-    found = band[0][:, None] * x
-    for offset, diagonal in enumerate(band[1:], start=1):
-        size = len(x) - offset
-        found[offset:] += diagonal[:size, None] * x[:size]
-        found[:size] += diagonal[:size, None] * x[offset:]
-    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,26 +274,26 @@ def solve(start: MotionFit, where: str, enough: int | None = None) -> FittedPath
     Raises:
         SolverError: the steps do not converge.
     """
-    fit = start
-    equations, matrix, right, cost = fit.linearised()
+    fit, read = start, [start.read(stretch) for stretch in start.stretches]
+    now = fit.linearised(read)
     for count in range(1, STEPS + 1):
-        covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-        step = covariance @ right
+        covariance = np.asarray(np.linalg.inv(now.matrix), dtype=np.float64)
+        step = covariance @ now.right
         part = 1.0
         while True:
-            moved = fit.stepped(equations, step, part)
-            decrease = cost - moved.objective()
-            if decrease >= -1e-9 * cost or part < SMALLEST:
+            moved = fit.stepped(now.equations, step, part)
+            read = [moved.read(stretch) for stretch in moved.stretches]
+            decrease = now.objective - moved.linearised(read).objective
+            if decrease >= -1e-9 * now.objective or part < SMALLEST:
                 break
             part /= 2
         size = float(np.max(np.abs(part * step) / np.sqrt(np.diag(covariance)), initial=0.0))
-        before, fit = fit, moved
-        intensity = fit.roughness(equations, covariance)
-        changed = float(np.max(np.abs(np.log(intensity / before.intensity)), initial=0.0))
-        fit = replace(fit, intensity=intensity)
-        equations, matrix, right, cost = fit.linearised()
+        intensity = moved.roughness(now.equations, covariance)
+        changed = float(np.max(np.abs(np.log(intensity / fit.intensity)), initial=0.0))
+        fit = replace(moved, intensity=intensity)
+        now = fit.linearised(read)
         if (size < CONVERGED and decrease < 1.0 and changed < STEADY) or count == enough:
-            final = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-            return FittedPaths(fit, final, tuple(equations), count)
+            final = np.asarray(np.linalg.inv(now.matrix), dtype=np.float64)
+            return FittedPaths(fit, final, tuple(now.equations), count)
     raise SolverError(f"the fit of the motion did not converge in {STEPS} steps", where=where,
                       remedy="check units, axes and signs of the sensors, or leave a channel out")

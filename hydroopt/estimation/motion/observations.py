@@ -15,7 +15,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import ChannelGroup
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.machine.sensor import Lag
+from hydroopt.machine.sensors import Lag
 from hydroopt.spatial.inertia import Array
 
 MOTION = ("q", "qd", "qdd", "length", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "roll", "pitch",

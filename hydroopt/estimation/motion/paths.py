@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.motion.banded import Rows
 from hydroopt.logs.spline import Basis, Grid
 from hydroopt.spatial.inertia import Array
 
@@ -22,6 +24,12 @@ class Support(NamedTuple):
     values: Array
     first: NDArray[np.intp]
 
+    def along(self, by_motion: Sequence[Array]) -> Array:
+        """Derivatives (N, m, width·n) by coefficients, of those (N, m, n) by positions, speeds, and so on."""
+        made = sum(np.einsum("kw,kmn->kmwn", values, by)
+                   for values, by in zip(self.values, by_motion, strict=False))
+        return np.asarray(made).reshape(*by_motion[0].shape[:2], -1)
+
 
 @dataclass(frozen=True, eq=False)
 class Spline:
@@ -32,14 +40,16 @@ class Spline:
     width: int = field(default=6, init=False)
 
     @classmethod
-    def over(cls, t: Array, spacing: float, times: Array, positions: Array) -> Spline:
-        """With knots about `spacing` [s] apart over the samples' times `t` (N,), near positions (M, n) at `times`."""
-        duration = float(t[-1] - t[0])
-        intervals = max(3, int(np.ceil(duration / spacing)))
-        basis = Basis(t, Grid(float(t[0]), duration, intervals, 1.0))
+    def over(cls, t: Array, intervals: int, joints: int) -> Spline:
+        """Of joints that rest at zero, with three knot intervals or more over the samples' times `t` (N,)."""
+        basis = Basis(t, Grid(float(t[0]), float(t[-1] - t[0]), intervals, 1.0))
+        return cls(basis, np.zeros((basis.intervals + 5, joints)))
+
+    def near(self, times: Array, positions: Array) -> Spline:
+        """About as given at some times (M,), positions (M, n)."""
         # a coefficient is about the position where its spline is greatest
-        knots = basis.start + (np.arange(basis.intervals + 5) - 2.0) * basis.spacing
-        return cls(basis, np.column_stack([np.interp(knots, times, column) for column in positions.T]))
+        knots = self.basis.start + (np.arange(len(self.coefficients)) - 2.0) * self.basis.spacing
+        return replace(self, coefficients=np.column_stack([np.interp(knots, times, column) for column in positions.T]))
 
     def support(self, t: Array) -> Support:
         """At times (N,); those beyond the ends count as the ends."""
@@ -51,6 +61,14 @@ class Spline:
     def roughness(self) -> Array:
         """∫ q'''² dt in band storage (6, k): of joints alike."""
         return np.asarray(self.basis.penalty / self.basis.spacing**5)
+
+    def jerk(self, stiffness: Array, common: int) -> Rows:
+        """Residuals with ``Σ left² = ∫ |stiffness·q'''|² dt``, stiffness (n,): the third derivative as white noise."""
+        values, first = self.basis.jerk
+        support = Support(values[None] * self.basis.spacing**-2.5, first)
+        by_jerk = np.tile(np.diag(stiffness), (len(first), 1, 1))
+        return Rows.of_path(-stiffness * motion(self, support)[0], support.along([by_jerk]), common,
+                            first * len(stiffness))
 
     def moved(self, step: Array) -> Spline:
         """With other coefficients, by `step` (k, n)."""
@@ -69,11 +87,6 @@ class Postures:
         values = np.zeros((ORDERS, t.size, 1))
         values[0] = 1.0
         return Support(values, t.astype(np.intp))
-
-    @property
-    def roughness(self) -> None:
-        """Postures do not follow one another."""
-        return None
 
     def moved(self, step: Array) -> Postures:
         """With other positions, by `step` (N, n)."""

@@ -25,8 +25,8 @@ from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import Recording
-from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.notebook_card import Shown
 from hydroopt.spatial.inertia import Array
@@ -170,7 +170,8 @@ def _spline(machine: Machine, readings: Readings, data: tuple[Observations, ...]
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
     if memory := max(each.memory for each in data):  # what lagging sensors remember was before the first reading
         stamps = np.insert(stamps, 0, stamps[0] - memory - spacing)
-    return Stretch(Spline.over(stamps, spacing, times, guess), data)
+    intervals = int(np.ceil((stamps[-1] - stamps[0]) / spacing))
+    return Stretch(Spline.over(stamps, intervals, guess.shape[1]).near(times, guess), data)
 
 
 def _numbered(table: Poses) -> NDArray[np.intp]:

@@ -3,16 +3,19 @@ differentiated angles."""
 
 from __future__ import annotations
 
-import json
-from collections import OrderedDict
+import pickle
 from dataclasses import replace
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hydroopt.errors import LogError
+from hydroopt.estimation.motion.misread import examined_fit
+from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import motion_channels
+from hydroopt.estimation.motion.paths import motion
+from hydroopt.estimation.motion.problem import FASTEST, SensorProblem
 from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion, inside
@@ -20,15 +23,11 @@ from hydroopt.machine.machine import Machine
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.spatial.inertia import Array
 
-if TYPE_CHECKING:
-    from hydroopt.estimation.motion.motion_fit import FittedPaths
-    from hydroopt.estimation.motion.problem import SensorProblem
-
 KEPT = 4
 """Fits that are kept, so that preparing the same logs again, as for each set of friction, does not repeat them."""
 FORCES = frozenset({"body", "friction", "circuit", "oil", "pump", "total_masses", "identical"})
 """Keys of a machine file of which motion knows nothing."""
-_kept: OrderedDict[bytes, tuple[FittedPaths, Diagnostic | None]] = OrderedDict()
+_kept: dict[bytes, tuple[FittedPaths, Diagnostic | None]] = {}
 POSITIONS = ("q", "length")
 """Endings of channels that tell positions, which alone call for no fit."""
 
@@ -57,9 +56,6 @@ def sensed(machine: Machine, log: Log) -> Sensed:
         LogError: a joint's motion is not measured, or an IMU is misread.
         SolverError: the fit does not converge.
     """
-    from hydroopt.estimation.motion.paths import motion  # noqa: PLC0415 — loaded when it is used
-    from hydroopt.estimation.motion.problem import FASTEST, SensorProblem  # noqa: PLC0415 — loaded when it is used
-
     recording = Recording.of(log)
     found, cause = _kept_fit(SensorProblem(machine, (recording,), geometry=False))
     if cause is not None:
@@ -91,31 +87,15 @@ def sensed(machine: Machine, log: Log) -> Sensed:
 
 def _kept_fit(problem: SensorProblem) -> tuple[FittedPaths, Diagnostic | None]:
     """As `examined_fit`, but once for the same recording and machine, whatever its bodies and friction."""
-    from hydroopt.estimation.motion.misread import examined_fit  # noqa: PLC0415 — loaded when it is used
-
-    key = _key(problem)
+    machine = problem.machine
+    notes = {path: note for path, note in machine.notes.items() if not {"body", "friction"} & set(path.split("."))}
+    motion = _without_forces(machine.model_dump(exclude={"notes"}))
+    key = sha256(pickle.dumps((repr((motion, notes)), problem.logs))).digest()
     if key not in _kept:
         _kept[key] = examined_fit(problem)
-        while len(_kept) > KEPT:
-            _kept.popitem(last=False)
-    _kept.move_to_end(key)
+        if len(_kept) > KEPT:
+            del _kept[next(iter(_kept))]
     return _kept[key]
-
-
-def _key(problem: SensorProblem) -> bytes:
-    """What a motion depends on: all that the machine file states beside forces, and all readings."""
-    machine, read = problem.machine, sha256()
-    notes = {path: note.model_dump() for path, note in machine.notes.items()
-             if not {"body", "friction"} & set(path.split("."))}
-    read.update(json.dumps([_without_forces(machine.model_dump(exclude={"notes"})), notes], sort_keys=True,
-                           default=repr).encode())
-    for recording in problem.logs:
-        names = [group.name for group in recording.groups]
-        read.update(repr((recording.name, sorted(recording.clocks.items()), names)).encode())
-        for group in recording.groups:
-            for name, values in {"t": group.t, "segment": group.segment, **group.channels}.items():
-                read.update(name.encode() + np.ascontiguousarray(values).tobytes())
-    return read.digest()
 
 
 def _without_forces(stated: Any) -> Any:

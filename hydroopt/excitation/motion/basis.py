@@ -7,10 +7,10 @@ part that repeats or the spline, and an exit, in which it comes to rest.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import factorial, perm
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -59,16 +59,16 @@ class Basis(ABC):
         """What it is, in a few words."""
 
     @abstractmethod
+    def at_pace(self, pace: float) -> Self:
+        """Those of the same path in a longer time: at a part of its pace, above 0 and at most 1."""
+
+    @abstractmethod
     def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The functions and their derivatives (m, 1) at a time t, constant before the start and after the end.
 
         They are made of sums in which each term comes to rest outside of its own stretch of time, so that they need no
         branches, neither here nor in generated code.
         """
-
-    def as_dict(self) -> dict[str, float]:
-        """What it is made by."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def _function(self) -> ca.Function:
@@ -112,6 +112,10 @@ class Fourier(Basis):
     def names(self) -> tuple[str, ...]:
         """Of the coefficients of a joint: mean, sines, cosines."""
         return ("mean", *(f"{kind}{k}" for kind in ("sin", "cos") for k in range(1, self.harmonics + 1)))
+
+    def at_pace(self, pace: float) -> Fourier:
+        """As in `Basis`."""
+        return replace(self, period=self.period / pace, blend=self.blend / pace)
 
     def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """As in `Basis`."""
@@ -183,6 +187,15 @@ class Spline(Basis):
     def names(self) -> tuple[str, ...]:
         """Of the control points of a joint; the first and the last stand for the three that rest at each end."""
         return tuple(f"point{k}" for k in range(self.pieces + DEGREE - 4))
+
+    def at_pace(self, pace: float) -> Spline:
+        """As in `Basis`.
+
+        >>> half = Spline(10.0, 4).at_pace(0.5)
+        >>> half.duration, half.fastest
+        (20.0, 0.1)
+        """
+        return replace(self, time=self.time / pace)
 
     def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """As in `Basis`."""

@@ -9,13 +9,12 @@ themselves; at last they are simulated as they swing.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
@@ -32,15 +31,15 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
-from hydroopt.excitation.motion.slowed import Slowed
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
-from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
+from hydroopt.interrupt import deferred
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs.log import Log
-from hydroopt.machine.given_machine import GivenMachine, machine_of
+from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import recent_model
+from hydroopt.processes import pool
 from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
@@ -179,32 +178,6 @@ def _least_smoothed(found: Sequence[Excitation]) -> Excitation:
     return min(found, key=error) if biased else first
 
 
-def at_pace(found: Excitation, pace: float) -> Excitation:
-    """The same path, driven at a part of its pace; made smaller where slower motion asks for more, as of pressures.
-
-    Raises:
-        ProblemError: the pace is not above 0 and at most 1, or passive joints swing beyond limits.
-
-    Example:
-        >>> import hydroopt as ho
-        >>> from hydroopt.excitation.motion.basis import Fourier
-        >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
-        >>> motion = ho.solve(problem, starts=1, search_seconds=0.5)
-        >>> slow = at_pace(motion, 0.5)
-        >>> slow.problem.basis.duration, min(use.room for use in slow.limits) >= 0
-        (20.0, True)
-    """
-    if not 0 < pace <= 1:
-        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its pace", where="--speed",
-                           remedy="give more than 0 and at most 100 %, such as 50 %")
-    if pace == 1:
-        return found
-    own = found.problem
-    problem = ExcitationProblem(own.information, own.limits, Slowed(own.basis, pace), own.rate, own.resting, own.inputs)
-    rest = resting_posture(problem, np.random.default_rng(found.seed))
-    return replace(found, problem=problem, x=shrunk(problem, found.x, rest)).within_limits(rest)
-
-
 @dataclass(frozen=True)
 class _Stop:
     """When a search ends early: Ctrl-C, and a value of ``time.monotonic()``."""
@@ -274,7 +247,6 @@ class _Worker:
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, end: float, stop: Event,
               values: Queue[tuple[int, str, float | None]]) -> None:
-        ignore()
         cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop.at(stop.is_set, end), values
 
     @classmethod
@@ -297,8 +269,7 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
     cancelled, values = context.Event(), context.Queue()
 
     def run(work: Callable[..., T], things: Sequence[object]) -> list[T]:
-        with blocked():
-            tasks = [pool.submit(_Worker.do, work, each) for each in things]
+        tasks = [crew.submit(_Worker.do, work, each) for each in things]
         running = set(tasks)
         while running:
             _, running = wait(running, timeout=0.2)
@@ -309,8 +280,7 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
         return [task.result() for task in tasks]
 
     try:
-        with ProcessPoolExecutor(processes, context, end_with_parent, (
-                pickle.dumps((_Worker.start, (problem, rest, end))), cancelled, values)) as pool:
+        with pool(processes, _Worker.start, problem, rest, end, shared=(cancelled, values)) as crew:
             yield run
     except BrokenProcessPool:
         raise SolverError("a process ended without an answer", where="excitation",

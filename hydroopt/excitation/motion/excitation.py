@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,20 +16,21 @@ from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamic.usability import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.approach import Approach, approach, start_of
-from hydroopt.excitation.motion.diagnostics import UNIMPROVED, excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
-from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture
-from hydroopt.excitation.motion.slowed import Slowed
+from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture, shrunk
 from hydroopt.limits.use import Course, UseOfLimit, courses
 from hydroopt.limits.watch import Watch, reach, watch
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.table import encoded_columns
+from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
@@ -43,6 +44,8 @@ COMPARED = {"condition": "condition number", "E": "largest standard deviation"}
 """What is compared with random motions, by criterion; by the others it is the standard deviations on average."""
 SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
+UNIMPROVED = 0.9
+"""A parameter whose standard deviation stays above this part of what it was before is not improved."""
 TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
 
@@ -58,6 +61,7 @@ class Excitation(Answer):
         starts: random motions from which the search started.
         stopped: what cut the search short, ``by Ctrl-C`` or ``after 5 s``; empty if it ended by itself.
         approach: from where the machine stands to the first posture, if that was stated.
+        pace: part of the pace for which it was designed.
 
     Example:
         >>> import hydroopt as ho
@@ -70,6 +74,8 @@ class Excitation(Answer):
         ((1001, 1), 'lift position')
         >>> motion.within_limits(x) is motion  # no joint swings
         True
+        >>> motion.at_pace(0.5).problem.basis.duration
+        20.0
         >>> motion.approached_from({"lift": float(motion.trajectory.q[0, 0]) + 0.05}).approach.postures.shape
         (2, 1)
     """
@@ -84,6 +90,7 @@ class Excitation(Answer):
     starts: int = 1
     stopped: str = ""
     approach: Approach | None = None
+    pace: float = 1.0
 
     @property
     def machine(self) -> Machine:
@@ -98,9 +105,43 @@ class Excitation(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What to know before the motion is driven."""
-        slower = isinstance(self.problem.basis, Slowed)  # random motions of that pace may be larger
-        return excitation_diagnostics(self.problem, self.accuracy, stopped=self.stopped,
-                                     better_random=0 if slower or self.gain >= 1 else self.random_motions)
+        return tuple(self._diagnostics())
+
+    def _diagnostics(self) -> Iterator[Diagnostic]:
+        model, accuracy = self.problem.information.model, self.accuracy
+        yield from machine_diagnostics(model)
+        if self.stopped:
+            yield Diagnostic.of("search cut short", (), {"how": self.stopped}, (
+                "The search was cut short {how}: the motion keeps all limits, but may not be the best."),
+                "Search longer, without `--search-seconds` or with more of them.")
+        if self.pace == 1 and self.gain < 1:  # random motions of a slower pace may be larger
+            yield Diagnostic.of("a random motion tells more", (), {"motions": self.random_motions}, (
+                "The best of {motions} random motions determines more than this one: the search ended too early."),
+                "Search longer (`--search-seconds`) or from more starts (`--starts`).")
+        if missing := _unlimited(self.machine):
+            yield Diagnostic.of("not limited", missing, {}, "The machine file does not limit {subject}.",
+                                "State what must be limited.", Meaning.PROPERTY)
+        forces = tuple(balance.name for balance, std in zip(model.machine.balances, force_noise(model), strict=True)
+                       if balance.actuators and not np.isfinite(std))
+        if forces:
+            yield Diagnostic.of("no accuracy of forces stated", forces, {}, (
+                "The machine file states no accuracy for the force of {subject}; its noise is assumed as a tenth of a "
+                "typical force."), "State the accuracy in [[sensors]].", Meaning.PROPERTY)
+        if angles := tuple(joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None):
+            yield Diagnostic.of("no accuracy of angles stated", angles, {}, (
+                "The machine file states no accuracy for the angle of {subject}; it counts as exact here: the true σ "
+                "will be larger than stated."), "State the accuracy in [[sensors]].", Meaning.PROPERTY)
+        if biased := int(np.sum(np.isfinite(accuracy.base) & (accuracy.bias > accuracy.base))):
+            yield Diagnostic.of("bias by smoothing", (), {"biased": biased, "of": len(accuracy.base)}, (
+                "Smoothing noisy angles will bias {biased} of {of} base parameters by more than their σ."),
+                "Drive slower, or measure the angles more accurately.")
+        names = model.parameters.names
+        unimproved = tuple(name for name, before, after in zip(names, accuracy.before, accuracy.after, strict=True)
+                           if not after <= UNIMPROVED * before)
+        if unimproved:
+            yield Diagnostic.of("parameters not improved", unimproved, {"count": len(unimproved), "of": len(names)}, (
+                "{count} of {of} parameters will stay about as uncertain as they are: {subject}."),
+                meaning=Meaning.PROPERTY)
 
     @cached_property
     def accuracy(self) -> ExpectedAccuracy:
@@ -181,7 +222,8 @@ class Excitation(Answer):
             "approach": None if self.approach is None else {
                 "postures": self.approach.postures.tolist(), "arrivals": self.approach.arrivals.tolist(),
                 "less_than_reserves_at_start": list(self.approach.short)},
-            "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()}, "functions": list(basis.names),
+            "basis": {"kind": type(basis).__name__.lower(), **asdict(basis)}, "pace": self.pace,
+            "functions": list(basis.names),
             "coefficients": {joint: self.coefficients[:, k].tolist() for k, joint in enumerate(problem.machine.joints)},
             "limits": [{"name": use.name, "unit": use.unit, "lower": number(use.lower), "lowest": use.lowest,
                         "highest": use.highest, "upper": number(use.upper), "room": use.room, "margin": use.margin}
@@ -219,6 +261,22 @@ class Excitation(Answer):
         goal = self.trajectory.q[0]
         start = start_of(self.problem.machine, stated, goal)
         return replace(self, approach=approach(self.problem.limits, start, goal, self.problem.rate, seed=self.seed))
+
+    def at_pace(self, pace: float) -> Excitation:
+        """The same path, driven at a part of its pace, above 0 and at most 1; made smaller where slower motion asks for
+        more, as of pressures.
+
+        Raises:
+            ProblemError: passive joints swing beyond limits.
+        """
+        if pace == 1:
+            return self
+        own = self.problem
+        problem = ExcitationProblem(own.information, own.limits, own.basis.at_pace(pace), own.rate, own.resting,
+                                    own.inputs)
+        rest = resting_posture(problem, np.random.default_rng(self.seed))
+        return replace(self, problem=problem, x=shrunk(problem, self.x, rest),
+                       pace=self.pace * pace).within_limits(rest)
 
     def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes | None] | None = None,
              wall_s: float = float("nan"), parquet: bool = False) -> None:
@@ -378,6 +436,23 @@ class Excitation(Answer):
         """
         criterion, other = self.problem.information.criterion, self.best_random.value
         return float(np.exp((other - self.value) / (1.0 if criterion == "condition" else 2.0)))
+
+
+def _unlimited(machine: Machine) -> tuple[str, ...]:
+    """What a motion could break of which the machine file states no limit."""
+    limits = {"the flow of the pump": machine.pump.max_flow if machine.pump else None,
+              "the height above ground": machine.ground, "the workspace of the tip": machine.workspace,
+              "tipping over": machine.footprint}
+    hydraulic = any(isinstance(each, Cylinder | Motor) for each in machine.actuators)
+    missing = [text for text, stated in limits.items()
+               if stated is None and (hydraulic or text not in ("the flow of the pump", "tipping over"))]
+    missing += [f"the effort of {each.name}" for each in machine.actuators
+                if (each.relief_pressure if isinstance(each, Cylinder | Motor) else each.max_torque) is None]
+    for joint in machine.joints:
+        own = machine.link(joint).joint
+        missing += [f"the {what} of {joint}" for what, value in (
+            ("speed", own.max_speed), ("acceleration", own.max_acceleration)) if value is None]
+    return tuple(missing)
 
 
 def _sizes(R: Array) -> Array:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, NoReturn
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.excitation.criteria import DesignParameters, Information
 from hydroopt.excitation.motion.basis import Basis, Rows, check
-from hydroopt.excitation.motion.criterion_function import CriterionFunction, ExcitationProgram
 from hydroopt.limits.limits import Limits
 from hydroopt.machine.machine import Machine
 from hydroopt.notebook_card import Card, Shown
@@ -37,6 +38,46 @@ class State(NamedTuple):
     q: Array
     qd: Array
     qdd: Array
+
+
+class _Computed(ca.Callback):  # type: ignore[misc]
+    """A function of columns of some sizes that NumPy computes of the first one, with its Jacobian by that one, if any.
+    """
+
+    def __init__(self, compute: Callable[[Array], ArrayLike], sizes: Sequence[int], width: int,
+                 jacobian: _Computed | None = None) -> None:
+        ca.Callback.__init__(self)
+        self._compute, self._sizes, self._width, self._jacobian = compute, sizes, width, jacobian
+        self.construct("computed", {})
+
+    def get_n_in(self) -> int:
+        return len(self._sizes)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[i], 1)
+
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(1, self._width)
+
+    def eval(self, arguments: list[Any]) -> list[Any]:
+        return [np.atleast_2d(self._compute(np.asarray(arguments[0]).ravel()))]
+
+    def has_jacobian(self) -> bool:
+        return self._jacobian is not None
+
+    def get_jacobian(self, *_: Any) -> ca.Function:
+        return self._jacobian
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExcitationProgram(NonlinearProgram):
+    """The program of a motion; it must live as long as a solver uses its criterion.
+
+    Attributes:
+        criterion: the Python function in `f`.
+    """
+
+    criterion: ca.Callback | None = None
 
 
 class ExcitationProblem(Shown):
@@ -143,7 +184,8 @@ class ExcitationProblem(Shown):
             >>> problem.nlp()["lift sin1"].shape
             (1, 1)
         """
-        criterion = CriterionFunction(self.value, lambda x: self.objective(x)[1], self.size_of_x)
+        size = self.size_of_x
+        criterion = _Computed(self.value, [size], 1, _Computed(lambda x: self.objective(x)[1], [size, 1], size))
         limits, rows, count = self.limits, self.limits.rows, len(self.grid.position)
         x = ca.MX.sym("x", self.size_of_x)
         c = ca.MX(ca.DM(np.outer(self.one, self.resting_position)))

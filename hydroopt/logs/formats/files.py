@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydroopt.errors import LogError
-from hydroopt.input_file import is_directory
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.formats.foreign_file import NAMES, ForeignFile
 from hydroopt.logs.formats.parquet_file import ParquetFile
@@ -63,7 +62,7 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
 def true_kind(path: str | Path, layout: LogMap | None) -> str | None:
     """The kind of a file by its map, its first bytes or its name; None where none of them says."""
     declared = layout.format if layout else None
-    if is_directory(path):
+    if os.path.isdir(path):
         return declared or "bags"
     kind = kind_of(path, declared)
     if declared not in (None, "mat") or not os.path.isfile(path):
@@ -82,7 +81,7 @@ def _files_of(path: str) -> list[str]:
     Raises:
         LogError: the directory holds no log.
     """
-    if not is_directory(path) or _is_bag(path):
+    if not os.path.isdir(path) or _is_bag(path):
         return [path]
     files = sorted(entry.path for entry in os.scandir(path) if not entry.name.startswith(".") and (
         kind_of(entry.path, None) is not None if entry.is_file() else _is_bag(entry.path)))
@@ -98,7 +97,7 @@ def _is_bag(path: str) -> bool:
 
 
 def _size(path: str) -> int:
-    if is_directory(path):
+    if os.path.isdir(path):
         return sum(entry.stat().st_size for entry in os.scandir(path) if entry.is_file())
     return os.path.getsize(path)
 
@@ -115,7 +114,7 @@ def _digest(path: str, most: float = EXPANDED_LIMIT) -> str:
             raise LogError(f"it has {size / 1e9:.1f} GB", where=path, remedy="split it")
         if size == 0:
             raise LogError("the file is empty", where=path, remedy="record it again")
-        if not is_directory(path):
+        if not os.path.isdir(path):
             with open(path, "rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         parts = sorted(entry.path for entry in os.scandir(path) if entry.is_file())

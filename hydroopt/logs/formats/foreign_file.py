@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.extras import install
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.formats.log_file import LogFile
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.stamps import Stamps
 from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, check_size, find_column, selected, unreadable
+from hydroopt.packages import install
 
 NAMES = {"hdf5": "HDF5", "mat": "MATLAB", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet",
          "tdms": "TDMS", "mdf": "MDF", "bags": "ROS bag or MCAP"}

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.extras import needed
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.mapped import empty, release, stored
@@ -21,6 +20,7 @@ from hydroopt.logs.table import (
     selected,
     unreadable,
 )
+from hydroopt.packages import needed
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import similar
+from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import build_machine
-from hydroopt.machine.robot_formats.machine_tree import link_poses
+from hydroopt.machine.range_checks import over_range
 from hydroopt.machine.robot_formats.reading import RobotFile
 from hydroopt.units import to_si
 
@@ -23,7 +24,7 @@ _ANY = {"dead_length": "1e-6 m", "stroke": "1e6 m"}
 
 
 class Reach(NamedTuple):
-    """Least and greatest length [m] of a cylinder over its joint's range, and least lever arm [m or 1]."""
+    """Least and greatest length [m] of a cylinder over the range of its joints, and least lever arm [m or 1]."""
 
     shortest: float
     longest: float
@@ -76,10 +77,9 @@ def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> O
     open_ended = [name for name, cylinder in made.items() if not {"dead_length", "stroke"} & cylinder.keys()]
     for name in open_ended:
         made[name] |= _ANY
-    joints = {name: str(table["joint"]) for name, table in stated.items()}
     tables["cylinders"] = list(made.values())
     machine = build_machine(copy.deepcopy(tables), where)
-    reaches = {name: _reach(machine, name, joint) for name, joint in joints.items()}
+    reaches = {name: _reach(machine, name) for name in made}
     for name in open_ended:
         shortest, longest, _ = reaches[name]
         margin = _MARGIN * (longest - shortest)
@@ -112,15 +112,7 @@ def _attached(robot: RobotFile, stated: Any, where: str) -> dict[str, Any]:
     return stated | {"link": robot.links[link].carrier, "pin": [f"{float(value)!r} m" for value in at[:3]]}
 
 
-def _reach(machine: Machine, name: str, joint: str) -> Reach:
-    """Lengths of a cylinder on 201 positions of its joint, the others in the middle of their ranges."""
+def _reach(machine: Machine, name: str) -> Reach:
     cylinder = next(each for each in machine.cylinders if each.name == name)
-    q = {each: sum(machine.link(each).joint.range) / 2 for each in machine.joints}
-    positions = np.linspace(*machine.link(joint).joint.range, 201)
-    lengths = []
-    for value in positions:
-        places = link_poses(machine, q | {joint: float(value)})
-        ends = [places[end.link] @ np.append(end.pin, 1.0) for end in (cylinder.barrel, cylinder.rod)]
-        lengths.append(float(np.linalg.norm(ends[1] - ends[0])))
-    arms = np.abs(np.gradient(np.array(lengths), positions))
-    return Reach(min(lengths), max(lengths), float(arms.min()))
+    lengths, arms, _ = over_range(Geometry(machine), cylinder)
+    return Reach(float(lengths.min()), float(lengths.max()), float(np.abs(arms).min()))

@@ -12,12 +12,12 @@ import numpy as np
 
 from hydroopt.machine.actuators import Cylinder, Drive, Motor, TorqueFriction
 from hydroopt.machine.closures import closures
-from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Body, JointFriction, Link
-from hydroopt.machine.loops import Loop
+from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.range_checks import over, sampled
 from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, inverse, pose, shift, turn
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin
 from hydroopt.spatial import inertia
@@ -225,20 +225,13 @@ def _positions(machine: Machine, q: Mapping[str, float]) -> dict[str, float]:
 
 
 def dependent_range(machine: Machine, joint: str) -> tuple[float, float]:
-    """Least and greatest position [m or rad] of a dependent joint, at the corners and within the range of the others,
-    and a tenth more on each side."""
-    q, follows = dict(posture(machine)), machine.followed[joint]
-    ranges = [np.linspace(*machine.link(name).joint.range, 9) for name in follows]
-    own = {name: q[name] for name in machine.joints}
-    rng, mechanism, geometry = np.random.default_rng(1), Mechanism(machine), Geometry(machine)
-    rows = np.stack(ranges, axis=1) if len(follows) == 1 else np.stack(
-        [rng.choice(values, 40) for values in ranges], axis=1)
-    symbols = {name: ca.SX.sym(name) for name in follows}
-    at = ca.Function("at", list(symbols.values()), [ca.SX(mechanism.positions(geometry, own | symbols)[joint])])
-    values = np.array([float(at(*row)) for row in rows])
-    values = values[np.isfinite(values)]
-    margin = 0.1 * (values.max() - values.min()) or 0.1
-    return float(values.min() - margin), float(values.max() + margin)
+    """Least and greatest position [m or rad] of a dependent joint over the range of those that it follows, and a tenth
+    more on each side."""
+    follows = machine.followed[joint]
+    (values,) = sampled(Geometry(machine), follows, over(machine, follows), lambda _, at: [at[joint]]).values
+    least, most = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = 0.1 * (most - least) or 0.1
+    return least - margin, most + margin
 
 
 def without_body(tree: RobotTree) -> tuple[str, ...]:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.extras import needed
-from hydroopt.machine.robot_formats.bodies import CentralInertia
-from hydroopt.machine.robot_formats.frames import from_quaternion, pose, shift, turn_about
+from hydroopt.machine.robot_formats.frames import CentralInertia, from_quaternion, pose, shift, turn_about
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin, one_tree
-from hydroopt.machine.robot_formats.urdf_in import robot_element
+from hydroopt.machine.robot_formats.xml_in import robot_element
+from hydroopt.packages import needed
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:

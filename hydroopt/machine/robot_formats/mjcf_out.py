@@ -8,14 +8,13 @@ import numpy as np
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.loops import Coupling
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.robot_formats.bodies import central
-from hydroopt.machine.robot_formats.frames import to_quaternion
+from hydroopt.machine.robot_formats.frames import central, to_quaternion
 from hydroopt.machine.robot_formats.machine_tree import link_poses, machine_tree, open_statements
 from hydroopt.machine.robot_formats.mjcf_in import NEGLIGIBLE
 from hydroopt.machine.robot_formats.tree import TreeJoint, TreePin
-from hydroopt.machine.robot_formats.urdf_out import numbers, xml_text
+from hydroopt.machine.robot_formats.xml_out import numbers, xml_text
 from hydroopt.spatial.inertia import Array
 
 _ROUNDING = 1e-9

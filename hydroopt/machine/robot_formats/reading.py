@@ -10,12 +10,10 @@ import numpy as np
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.robot_formats.frames import inverse, roll_pitch_yaw, tidy
-from hydroopt.machine.robot_formats.loops_of_pins import Placed
-from hydroopt.machine.robot_formats.machine_tables import machine_tables
+from hydroopt.machine.robot_formats.machine_tables import Placed, machine_tables
 from hydroopt.machine.robot_formats.mjcf_in import read_mjcf
-from hydroopt.machine.robot_formats.sdf_in import read_sdf
 from hydroopt.machine.robot_formats.sidecar import read_sidecar
-from hydroopt.machine.robot_formats.urdf_in import read_urdf
+from hydroopt.machine.robot_formats.xml_in import read_sdf, read_urdf
 
 READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".sdf": read_sdf, ".xacro": read_urdf}
 """What reads the files of an ending."""

@@ -1,4 +1,4 @@
-"""What a robot file cannot say of a machine: a machine file's tables beside it, read and written with it."""
+"""What a robot file cannot say of a machine: a machine file's tables beside it, read with it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
 from hydroopt.machine.file_schema import validate
-from hydroopt.machine.robot_formats.axes import Numbers
+from hydroopt.machine.robot_formats.frames import Numbers
 from hydroopt.spatial.inertia import Array
 from hydroopt.units import to_si
 

@@ -10,17 +10,14 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.combined import _about, _beside, identify_with_geometry
-from hydroopt.estimation.combined.estimate import CombinedEstimate
-from hydroopt.estimation.combined.forces_by_geometry import ForcesByGeometry
-from hydroopt.estimation.combined.log_geometry import LogGeometry
-from hydroopt.estimation.combined.log_postures import postures
+from hydroopt.estimation.combined.estimate import CombinedEstimate, _about, _beside, identify_with_geometry
+from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeometry, postures
 from hydroopt.estimation.combined.problem import CombinedProblem, combined_problem
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.kernels.native import FEW
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
@@ -94,7 +91,7 @@ def test_readings_are_derived_as_by_finite_differences(swing: str, machine: Mach
     assert np.any(beside.postures.layout.moving) == (swing == "moving")
     q = joints[:, :3]
     made = beside.readings(q)
-    left = made.right - made.by_numbers @ beside.value
+    left = made.right - made.by_common @ beside.value
     assert np.max(np.abs(left)) < 1e-6  # in standard deviations
     rng = np.random.default_rng(0)
     step_q, step = 1e-6 * rng.standard_normal(q.shape), 1e-6 * rng.standard_normal(len(beside.names))
@@ -102,9 +99,9 @@ def test_readings_are_derived_as_by_finite_differences(swing: str, machine: Mach
     def residual(sign: float) -> Array:
         moved = replace(beside, theta=beside.theta + sign * step)
         again = moved.readings(q + sign * step_q)
-        return again.right - again.by_numbers @ moved.value
+        return again.right - again.by_common @ moved.value
 
-    expected = -(np.einsum("nmj,nj->nm", made.by_q, step_q) + made.by_numbers @ step)
+    expected = -(np.einsum("nmj,nj->nm", made.by_motion[0], step_q) + made.by_common @ step)
     np.testing.assert_allclose((residual(1.0) - residual(-1.0)) / 2, expected, atol=1e-4 * np.max(np.abs(expected)))
 
 
@@ -127,9 +124,9 @@ def test_forces_are_derived_as_by_finite_differences(machine: Machine, truth: di
             state = (data.motion.q, data.motion.qd, data.motion.qdd)
             off.append(other.over(other.inverse_dynamics, *state, truth["psi"])[0][:, :, 0])
         slope = (off[0] - off[1]) / 2e-4
-        np.testing.assert_allclose(made.by_numbers[:, :, k], slope, atol=1e-5 * np.max(np.abs(slope)) + 1e-4,
+        np.testing.assert_allclose(made.by_common[:, :, k], slope, atol=1e-5 * np.max(np.abs(slope)) + 1e-4,
                                    err_msg=names[k])
-    assert not np.any(made.by_numbers[:, :, count:])
+    assert not np.any(made.by_common[:, :, count:len(names)])
 
 
 @pytest.mark.slow
@@ -152,7 +149,8 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
     (one,), psi = found.motion(found.psi), found.psi
     assert isinstance(one.beside, LogGeometry)
     beside, (stretch,) = one.beside, one.stretches
-    count, t = len(stretch.coefficients) - 5, noisy.t
+    c = stretch.path.coefficients
+    count, t = len(c) - 5, noisy.t
     spacing = (t[-1] - t[0]) / count
     knots = t[0] + spacing * np.arange(-5, count + 6)
     points, weights = np.polynomial.legendre.leggauss(5)
@@ -197,19 +195,19 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
 
     assert found.numbers is not None
     scale = np.sqrt(np.diag(found.numbers.covariance))
-    best = objective(beside.theta, psi, stretch.coefficients)
+    best = objective(beside.theta, psi, c)
     rng = np.random.default_rng(1)
     slopes = []
     for k in range(0, len(scale), 3):
         step = np.zeros(len(beside.theta))
         step[np.flatnonzero(beside.postures.free)[k]] = 0.05 * scale[k]
-        slopes.append([objective(beside.theta + sign * step, psi, stretch.coefficients) - best for sign in (1, -1)])
+        slopes.append([objective(beside.theta + sign * step, psi, c) - best for sign in (1, -1)])
     spread = np.sqrt(np.diag(np.linalg.inv(found.R.T @ found.R + about.prior_rows[0].T @ about.prior_rows[0])))
     for _ in range(6):
         step = 0.05 * spread * rng.standard_normal(len(psi)) / np.sqrt(len(psi))
-        slopes.append([objective(beside.theta, psi + sign * step, stretch.coefficients) - best for sign in (1, -1)])
-        bend = 1e-5 * rng.standard_normal(stretch.coefficients.shape)
-        slopes.append([objective(beside.theta, psi, stretch.coefficients + sign * bend) - best for sign in (1, -1)])
+        slopes.append([objective(beside.theta, psi + sign * step, c) - best for sign in (1, -1)])
+        bend = 1e-5 * rng.standard_normal(c.shape)
+        slopes.append([objective(beside.theta, psi, c + sign * bend) - best for sign in (1, -1)])
     rise, fall = np.array(slopes).T
     assert np.all(rise + fall > 0)
     # of a quadratic about its optimum both changes are alike; otherwise the optimum is that part of half a step away

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hydroopt.estimation.dynamic.capacity import WORKING_PRESSURE, capacity
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.dynamic.usability import WORKING_PRESSURE, capacity
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model

@@ -58,7 +58,7 @@ def test_fitted_motion_is_the_optimum_of_the_whole_problem(sensed: Model, record
     found = fitted_motion.fit(sensed, start, covariance, None, TRUTH, least, "test")
     (one,) = found.motion(found.psi)
     (stretch,) = one.stretches
-    count = len(stretch.coefficients) - 5
+    count = len(stretch.path.coefficients) - 5
     t = data.log.t
     spacing = (t[-1] - t[0]) / count
     knots = t[0] + spacing * np.arange(-5, count + 6)
@@ -75,7 +75,7 @@ def test_fitted_motion_is_the_optimum_of_the_whole_problem(sensed: Model, record
             (data.log.channels["wheel.q"] - spline(t)) / NOISE, one.stiffness[0] * root * spline(t[0] + inner, 3),
             (data.force[:, 0] - torque)[taken] / TORQUE_NOISE])
 
-    answer = least_squares(residuals, np.append(stretch.coefficients.ravel(), TRUTH), x_scale="jac", xtol=1e-14,
+    answer = least_squares(residuals, np.append(stretch.path.coefficients.ravel(), TRUTH), x_scale="jac", xtol=1e-14,
                            ftol=1e-15, gtol=1e-14)
     spread = np.sqrt(np.diag(np.linalg.inv(answer.jac.T @ answer.jac))[-4:])
     np.testing.assert_allclose(np.linalg.inv(found.R.T @ found.R).diagonal() ** 0.5, spread, rtol=1e-3)

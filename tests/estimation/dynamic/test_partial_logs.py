@@ -25,7 +25,6 @@ from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.report import identification as page
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
 LOST = "boom_cylinder.p_head"
@@ -73,7 +72,7 @@ def test_a_missing_pressure_is_the_same_as_an_actuator_that_is_not_measured(logs
     assert found.sigma[[0, 2]] == pytest.approx(stated.sigma, rel=1e-10)
     assert found.correlation_time[[0, 2]] == pytest.approx(stated.correlation_time, rel=1e-9)
     assert sorted(found.fit["train"]) == ["all", "stick_cylinder", "swing_motor"]
-    (lost,) = of_kind(found.diagnostics, Kind.FORCE_NOT_MEASURED)
+    (lost,) = of_kind(found.diagnostics, "force not measured in a log")
     assert lost.subject == ("boom_cylinder",)
     assert lost.evidence["channels"] == LOST
     assert found.machine.cylinders[0].measured
@@ -166,7 +165,7 @@ def test_a_long_log_does_without_as_well(logs: list[Log], tmp_path: Path, in_pie
     assert found.weighted_residuals.samples == pytest.approx(stated.weighted_residuals.samples)
     assert found.sigma[[0, 2]] == pytest.approx(stated.sigma[[0, 2]], rel=0.05)
     assert sorted(found.fit["train"]) == ["all", "stick_cylinder", "swing_motor"]
-    assert of_kind(found.diagnostics, Kind.FORCE_NOT_MEASURED)
+    assert of_kind(found.diagnostics, "force not measured in a log")
     assert np.isfinite(pieces.moments(found.psi)).all()
 
 
@@ -179,7 +178,7 @@ def test_a_load_is_weighed_without_one_torque() -> None:
     first, second = recorded(SPATIAL, psi, 1, 0.5), recorded(SPATIAL, loaded, 2, 0.5)
     whole = payload(SPATIAL.machine, [first], [second])
     partly = payload(SPATIAL.machine, [first], [lacking(second, "post.tau")])
-    (lost,) = of_kind(partly.diagnostics, Kind.FORCE_NOT_MEASURED)
+    (lost,) = of_kind(partly.diagnostics, "force not measured in a log")
     assert lost.evidence["log"] == second.name
     assert whole.mass.std <= 1.1 * partly.mass.std
     assert abs(partly.mass.value - 2.0) < 3 * partly.mass.std

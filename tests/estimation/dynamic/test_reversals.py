@@ -9,7 +9,6 @@ import pytest
 
 import hydroopt as ho
 from hydroopt.estimation.dynamic.reversals import late_positions
-from hydroopt.results.wording import Kind
 
 LATE = 0.05
 
@@ -38,7 +37,7 @@ def test_late_positions_are_named_and_sound_ones_are_not(subject: tuple[ho.Model
     assert one.joint == joint
     assert one.late == pytest.approx(LATE, abs=0.011)  # half a sample
     assert spoilt.status == "suspect"
-    (said,) = [each for each in spoilt.diagnostics if each.kind is Kind.LATE_POSITIONS]
+    (said,) = [each for each in spoilt.diagnostics if each.kind == "friction turns before the velocity"]
     assert f"The positions of {joint} are read" in said.text
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import hydroopt as ho
 from hydroopt.estimation.dynamic.folding import split, triangle
-from hydroopt.estimation.dynamic.uncertain_gains import with_uncertain_gains
+from hydroopt.estimation.dynamic.weighted_residuals import with_uncertain_gains
 from hydroopt.simulation.simulate import random_truth
 
 

@@ -14,7 +14,6 @@ from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from hydroopt.simulation.drive_valves import changes, drive
 from hydroopt.solving import solve
 
@@ -78,7 +77,7 @@ def test_without_noise_a_delay_comes_back(problem: HydraulicProblem) -> None:
     """At 200 Hz: pressures count as straight between samples, which at 100 Hz moves it by 1.4 ms."""
     found = solve(problem)
     assert found.parameters[NAME].value == pytest.approx(0.0172, abs=3e-4)
-    assert not of_kind(found.diagnostics, Kind.COMMANDS_LATE, Kind.DELAY_EXACT)
+    assert not of_kind(found.diagnostics, "commands arrive at another time than stated", "delay taken as exact")
     assert found.machine.numbers[NAME].value == pytest.approx(found.parameters[NAME].value)
     assert found.machine.notes[found.machine.numbers[NAME].path].sigma == pytest.approx(found.parameters[NAME].std)
 
@@ -86,12 +85,12 @@ def test_without_noise_a_delay_comes_back(problem: HydraulicProblem) -> None:
 def test_a_delay_that_is_stated_wrong_without_a_sigma_is_named() -> None:
     log = driven(0.060)
     wrong = solve(hydraulic_problem(crane(0.010), [log]))
-    (said,) = of_kind(wrong.diagnostics, Kind.COMMANDS_LATE)
+    (said,) = of_kind(wrong.diagnostics, "commands arrive at another time than stated")
     assert said.subject == ("jack",)
     assert said.evidence["sense"] == "later"
     assert wrong.status == "suspect"
     right = solve(hydraulic_problem(crane(0.060), [log]))
-    assert not of_kind(right.diagnostics, Kind.COMMANDS_LATE)
-    (exact,) = of_kind(right.diagnostics, Kind.DELAY_EXACT)
+    assert not of_kind(right.diagnostics, "commands arrive at another time than stated")
+    (exact,) = of_kind(right.diagnostics, "delay taken as exact")
     assert exact.subject == ("jack",)
     assert right.status == "ok"

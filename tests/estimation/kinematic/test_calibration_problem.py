@@ -12,6 +12,7 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibratio
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
 
@@ -24,7 +25,7 @@ def problem() -> CalibrationProblem:
                                                                              for name in model.parameters.names]
     geometry = model.parameters.nominal + 0.3 * away * model.parameters.scale
     fixture = np.array(machine.fixtures[0].position)
-    q = [postures.random_postures(model, stage, 8, geometry=geometry, fixture=fixture, seed=k)
+    q = [closed_postures.random_postures(model, stage, 8, geometry=geometry, fixture=fixture, seed=k)
          for k, stage in enumerate(machine.stages)]
     stages = [stage.name for stage in machine.stages for _ in range(8)]
     poses = postures.record(model, np.concatenate(q), stages, ["ball"] * len(stages), geometry=geometry, seed=1)

@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.chain_sides import chain_sides
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.estimation.kinematic.residuals import chain_sides
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.report.calibration import render
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 TAPES = ("stick.distance", "grapple.distance")
 
@@ -31,7 +32,7 @@ def machine() -> Machine:
 def taped(machine: Machine) -> Poses:
     """19 poses as in Section 3.8.1, the machine's resolvers and the tape read, without noise."""
     model = KinematicModel(machine)
-    q = postures.random_postures(model, machine.stages[1], 19, geometry=model.parameters.nominal,
+    q = closed_postures.random_postures(model, machine.stages[1], 19, geometry=model.parameters.nominal,
                                  fixture=machine.fixtures[0])
     joints = ("swing", "boom", "stick", "grapple", "yoke", "upper_arm", "forearm")
     return postures.record(model, q, ["boom_moves"] * 19, ["ball"] * 19, geometry=model.parameters.nominal, seed=None,
@@ -76,8 +77,8 @@ def test_a_tape_alone_tells_of_the_machine_s_side_only(machine: Machine, taped: 
 def test_the_answer_reports_both_sides(machine: Machine, taped: Poses) -> None:
     """Without the machine's resolvers stages tell of no distance; held-out poses with them do."""
     model = KinematicModel(machine)
-    q = [postures.random_postures(model, stage, 12, geometry=model.parameters.nominal, fixture=machine.fixtures[0],
-                                  seed=k) for k, stage in enumerate(machine.stages)]
+    q = [closed_postures.random_postures(model, stage, 12, geometry=model.parameters.nominal,
+                                         fixture=machine.fixtures[0], seed=k) for k, stage in enumerate(machine.stages)]
     labels = [stage.name for stage in machine.stages for _ in range(12)]
     poses = postures.record(model, np.concatenate(q), labels, ["ball"] * 36, geometry=model.parameters.nominal)
     solved = calibrate(calibration_problem(machine, poses, taped, fixed={"ball.y": 0.0}))

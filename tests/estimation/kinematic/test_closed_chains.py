@@ -9,21 +9,23 @@ import pytest
 
 from hydroopt import load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic import gauss_newton, link_by_link
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.calibration import calibrate
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import METHODS
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses, joined
-from hydroopt.machine.calibration_chain import Tracker
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 PER_STAGE = 40
 
@@ -46,7 +48,7 @@ def model(machine: Machine) -> KinematicModel:
 def closed(machine: Machine, model: KinematicModel) -> tuple[np.ndarray, list[str]]:
     """Joint vectors of closed chains, and their stages."""
     at = np.array(machine.fixtures[0].position)
-    q = [postures.random_postures(model, stage, PER_STAGE, geometry=model.parameters.nominal, fixture=at, seed=k)
+    q = [closed_postures.random_postures(model, stage, PER_STAGE, geometry=model.parameters.nominal, fixture=at, seed=k)
          for k, stage in enumerate(machine.stages)]
     return np.concatenate(q), [stage.name for stage in machine.stages for _ in range(PER_STAGE)]
 
@@ -84,7 +86,7 @@ def test_without_noise_the_truth_comes_back(model: KinematicModel, closed: tuple
                                             machine: Machine, seed: int) -> None:
     problem = held(calibration_problem(machine, read(model, closed, None), priors=False))
     start = off(problem, seed)
-    theta, q = gauss_newton.maximum_likelihood(problem, start, guess_unsensed(problem, start))
+    theta, q = maximum_likelihood(problem, start, guess_unsensed(problem, start))
     np.testing.assert_allclose(theta, problem.parameters.nominal, atol=1e-8)
     chain = [k for k, name in enumerate(model.joints) if name in ("stick", "boom", "swing")]
     moving = problem.layout.moving[:, chain]
@@ -267,7 +269,7 @@ def test_drift_is_found_and_would_hurt(model: KinematicModel, machine: Machine) 
     fixture, geometry = np.array(machine.fixtures[0].position), model.parameters.nominal
     q, labels, crept = [], [], 0.0
     for k, stage in enumerate(machine.stages):
-        part = postures.random_postures(model, stage, PER_STAGE, geometry=geometry, fixture=fixture, seed=k)
+        part = closed_postures.random_postures(model, stage, PER_STAGE, geometry=geometry, fixture=fixture, seed=k)
         if "stick" in stage.locked:
             part[:, model.joints.index("stick")] += crept + np.radians(0.3) * np.linspace(0, 1, len(part))
             crept += np.radians(0.3)
@@ -575,7 +577,7 @@ def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
     start = np.maximum(parameters.nominal + rng.choice([-1, 1], len(parameters)) * away * arm.free, parameters.lower)
     if method == "hierarchical":  # which knows no bounds
         arm = replace(arm, parameters=replace(parameters, lower=np.full(len(parameters), -np.inf)))
-    theta, *_ = (gauss_newton.maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
+    theta, *_ = (maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
         arm, start, arm.layout.reading)
     return np.abs(theta[: len(arm.model.parameters)] - arm_truth(arm.model))
 
@@ -591,9 +593,9 @@ def test_play_in_a_joint_is_named(model: KinematicModel, machine: Machine) -> No
     """The forearm's resolver lags by 1.5° on the side from which it comes."""
     stage, fixture = machine.stages[0], np.array(machine.fixtures[0].position)
     path = np.radians(90 + 40 * np.sin(np.linspace(0, 6 * np.pi, 90)))[:, None]
-    q = postures.sweep(model, stage, path, geometry=model.parameters.nominal, fixture=fixture)
-    rest = [postures.random_postures(model, s, PER_STAGE, geometry=model.parameters.nominal, fixture=fixture, seed=k)
-            for k, s in enumerate(machine.stages[1:])]
+    q = closed_postures.sweep(model, stage, path, geometry=model.parameters.nominal, fixture=fixture)
+    rest = [closed_postures.random_postures(model, s, PER_STAGE, geometry=model.parameters.nominal, fixture=fixture,
+                                            seed=k) for k, s in enumerate(machine.stages[1:])]
     labels = [stage.name] * len(q) + [s.name for s in machine.stages[1:] for _ in range(PER_STAGE)]
     poses = read(model, (np.concatenate([q, *rest]), labels), 0)
     forearm = poses.channels["forearm.q"]

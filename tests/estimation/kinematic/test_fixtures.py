@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.estimation.kinematic import gauss_newton, link_by_link
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.calibration import calibrate
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.mobility import mobility
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import Poses
@@ -17,7 +18,7 @@ from hydroopt.machine.calibration_chain import CLOSES, Fixture
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 from hydroopt.spatial.poses import roll_pitch_yaw
@@ -69,7 +70,7 @@ def test_a_fixture_of_any_kind_gives_back_the_arm_and_its_own_place(kind: str) -
     problem, truth, q = measured(kind)
     assert problem.layout.present[:, : problem.model.loop_rows].sum() == len(q) * len(CLOSES[kind])
     off = np.where(np.array(problem.parameters.units) == "m", 0.01, 0.03) * problem.free
-    found, angles = gauss_newton.maximum_likelihood(problem, truth + off, problem.layout.reading)
+    found, angles = maximum_likelihood(problem, truth + off, problem.layout.reading)
     np.testing.assert_allclose(found[problem.free], truth[problem.free], rtol=0, atol=1e-7)
     np.testing.assert_allclose(angles, q, rtol=0, atol=1e-7)
 
@@ -140,7 +141,7 @@ def test_a_tape_ends_at_its_own_fixture_whether_or_not_that_holds_the_tip(held: 
     problem = problem.fixing(**{name: problem.start[k] for k, name in enumerate(model.parameters.names)})
     names = [name for name, free in zip(problem.parameters.names, problem.free, strict=True) if free]
     assert names == [f"{name}.{axis}" for name in ([held] if held else []) + ["two"] for axis in "xyz"]
-    found, _ = gauss_newton.maximum_likelihood(problem, problem.start + 0.05 * problem.free, problem.layout.reading)
+    found, _ = maximum_likelihood(problem, problem.start + 0.05 * problem.free, problem.layout.reading)
     np.testing.assert_allclose(found, problem.start, rtol=0, atol=1e-7)
 
 

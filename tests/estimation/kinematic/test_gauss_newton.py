@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydroopt.estimation.kinematic import gauss_newton, joint
+from hydroopt.estimation.kinematic import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, guess_unsensed
@@ -16,6 +16,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 from tests.fixtures.surveyed import measured, surveyed, truth
 
 
@@ -24,7 +25,7 @@ def calibrator(priors: bool = True, wild: float = 0.0) -> CalibrationProblem:
     machine = load_machine("cat215b")
     model = KinematicModel(machine)
     nominal, at = model.parameters.nominal, machine.fixtures[0].position
-    q = np.concatenate([postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
+    q = np.concatenate([closed_postures.random_postures(model, stage, 30, geometry=nominal, fixture=at, seed=k)
                         for k, stage in enumerate(machine.stages)])
     read = postures.record(model, q, [stage.name for stage in machine.stages for _ in range(30)], ["ball"] * len(q),
                            geometry=nominal, seed=1)
@@ -42,7 +43,7 @@ def survey() -> CalibrationProblem:
 def bounded() -> CalibrationProblem:
     """A length that may not grow as far as the poses ask."""
     problem = calibrator()
-    found, _ = joint.maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))
+    found, _ = maximum_likelihood.by_ipopt(problem, problem.start, guess_unsensed(problem, problem.start))
     k = problem.parameters.index("boom.a")
     upper = problem.parameters.upper.copy()
     upper[k] = found[k] - 5e-3
@@ -56,13 +57,13 @@ def bounded() -> CalibrationProblem:
 def test_the_answer_is_that_of_ipopt(build: Callable[[], CalibrationProblem], monkeypatch: pytest.MonkeyPatch) -> None:
     problem = build()
     own = guess_unsensed(problem, problem.start)
-    expected, angles = joint.maximum_likelihood(problem, problem.start, own)
+    expected, angles = maximum_likelihood.by_ipopt(problem, problem.start, own)
 
     def refused(*_: object) -> None:
         raise AssertionError("the steps did not converge")
 
-    monkeypatch.setattr(joint, "maximum_likelihood", refused)
-    found, q = gauss_newton.maximum_likelihood(problem, problem.start, own)
+    monkeypatch.setattr(maximum_likelihood, "by_ipopt", refused)
+    found, q = maximum_likelihood.maximum_likelihood(problem, problem.start, own)
     at = linearise(problem, expected, closed_angles(problem, expected, angles))
     std = observability(problem, at).std
     known = np.isfinite(std)

@@ -13,7 +13,7 @@ import pytest
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.machine.links import Note
@@ -21,6 +21,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
+from studies import closed_postures
 
 ACCURACY = 1e-8
 SWEEPS = {"grapple_swing": (20, 65), "stick": (60, 110), "boom": (-45, -15), "swing": (-25, 25)}
@@ -39,8 +40,8 @@ def excavator(seed: int = 0, *, count: int = 40, sweep: bool = False, stages: in
     found = []
     for k, stage in enumerate(machine.stages[:stages]):
         path = np.radians(np.linspace(*SWEEPS[stage.moves[0]], count))[:, None]
-        found.append(postures.sweep(model, stage, path, **place) if sweep
-                     else postures.random_postures(model, stage, count, seed=3 * seed + k, **place))
+        found.append(closed_postures.sweep(model, stage, path, **place) if sweep
+                     else closed_postures.random_postures(model, stage, count, seed=3 * seed + k, **place))
     q = np.concatenate(found)
     names = [stage.name for stage in machine.stages[:stages] for _ in range(count)]
     channels = [f"{joint}.q" for joint in ("grapple", "yoke", "upper_arm", "forearm", *read)]

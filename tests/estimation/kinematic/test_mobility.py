@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from hydroopt.estimation.kinematic.mobility import Mobility, grubler, mobility, obstacles
-from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage, Tracker
+from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensors import Sensor
+from hydroopt.machine.survey import Tracker
 
 CAT = load_machine("cat215b")
 ANGLES = tuple(sensor for sensor in CAT.sensors if sensor.channels[0].endswith(".q"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fixtures.loops import survey
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine_file import dump_machine, read_machine

@@ -9,7 +9,7 @@ import pytest
 
 from hydroopt import Poses, calibration_problem, load_machine, pose_problem, solve
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate, without_suspects
+from hydroopt.estimation.kinematic.calibration import calibrate, without_suspects
 
 MACHINE = load_machine("panda_mukca")
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.accuracy import machine_end
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.workspace import machine_end
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.excitation.selection.exchange import fedorov_exchange
+from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.verdict import Purpose, Usable

@@ -10,16 +10,14 @@ import pytest
 
 from hydroopt import load_machine, pose_problem, solve
 from hydroopt.errors import SolverError
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
+from hydroopt.estimation.kinematic.diagnostics import wrong_distances
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.stated_checks import wrong_distances
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.status import Status
-from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
@@ -70,7 +68,7 @@ def test_what_the_data_do_not_decide_is_left_open(sound: Poses) -> None:
     calibration = solved(sound, stick_cylinder__length=0.05 * (2 * (reading - reading.mean()) / np.ptp(reading)) ** 2)
     (suspect,) = calibration.suspects
     assert not suspect.decided
-    (diagnostic,) = of_kind(calibration.diagnostics, Kind.SUSPECTS_UNDECIDED)
+    (diagnostic,) = of_kind(calibration.diagnostics, "cause of the contradiction undecided")
     assert "do not decide between: " in diagnostic.text
     assert suspect.rivals[0].phrase in diagnostic.text
     assert calibration.status is Status.SUSPECT
@@ -124,8 +122,8 @@ def test_a_wrong_distance_leaves_the_link_by_link_method_beside_the_optimum(sock
     stiffness = {name: value for name, value in made.truth.items() if name.endswith("compliance")}
     right, wrong = (solve(calibration_problem(stating(machine, length), made.poses, fixed=stiffness), "hierarchical")
                     for length in (0.05, 0.053))
-    assert not of_kind(right.diagnostics, Kind.OFF_OPTIMUM)
-    assert of_kind(wrong.diagnostics, Kind.OFF_OPTIMUM)
+    assert not of_kind(right.diagnostics, "link by link off the optimum")
+    assert of_kind(wrong.diagnostics, "link by link off the optimum")
     assert wrong.status is Status.SUSPECT
 
 
@@ -135,13 +133,13 @@ def test_limits_give_way_to_poses_and_intervals_are_held_against_others(sound: P
     short = machine.with_joint_limits({"boom": (lower + 0.2, upper)})
     even = np.arange(POSES) % 2 == 0
     calibration = calibrate(calibration_problem(short, sound.select(even), sound.select(~even)))
-    (widened,) = of_kind(calibration.diagnostics, Kind.JOINT_LIMITS_WIDENED)
+    (widened,) = of_kind(calibration.diagnostics, "joint limits widened")
     assert widened.subject == ("boom",)
     angle = calibration.q[:, calibration.problem.model.joints.index("boom")]
     assert calibration.machine.link("boom").joint.range[0] <= np.min(angle) + 0.01
     assert 0.88 < calibration.tested.coverage <= 1
     assert calibration.tested.ratio == pytest.approx(1, abs=0.15)
-    assert not of_kind(calibration.diagnostics, Kind.INTERVALS_TOO_NARROW)
+    assert not of_kind(calibration.diagnostics, "held-out poses beyond their intervals")
 
 
 @cache

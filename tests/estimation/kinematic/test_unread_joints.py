@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.estimation.kinematic.pose_layout import depends
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses

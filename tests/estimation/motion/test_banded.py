@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hydroopt.estimation.motion.banded import Bordered, add_blocks, inverse_band
+from hydroopt.estimation.motion.banded import Bordered, Rows, inverse_band
 
 
 def _problem(seed=0, size=40, width=7, others=5):
@@ -43,13 +43,20 @@ def test_the_band_of_an_inverse_is_that_of_the_dense_one():
         np.testing.assert_allclose(found[offset, :size - offset], np.diag(inverse, -offset), atol=1e-12)
 
 
-def test_blocks_add_up_to_a_band():
+def test_rows_add_up_to_normal_equations_and_are_projected_as_these_are_reduced():
     rng = np.random.default_rng(1)
-    blocks = rng.normal(size=(4, 6, 6))
-    blocks = blocks + blocks.transpose(0, 2, 1)
-    dense, band = np.zeros((12, 12)), np.zeros((6, 12))
-    for k, block in enumerate(blocks):
-        dense[2 * k:2 * k + 6, 2 * k:2 * k + 6] += block
-    add_blocks(band, blocks, np.arange(4), 2)
+    blocks = [Rows(rng.normal(size=(samples, 3)), rng.normal(size=(samples, 3, width)),
+                   rng.normal(size=(samples, 3, 2)), 2 * rng.integers(0, (12 - width) // 2 + 1, samples))
+              for samples, width in ((30, 6), (20, 2))]
+    made = Bordered.of(blocks, 12, 6, 2)
+    whole = np.concatenate([np.column_stack([by_path.toarray(), by_common, left])
+                            for by_path, by_common, left in (rows.matrices(12) for rows in blocks)])
+    expected = whole.T @ whole
     for offset in range(6):
-        np.testing.assert_allclose(band[offset, :12 - offset], np.diag(dense, -offset))
+        np.testing.assert_allclose(made.band[offset, :12 - offset], np.diag(expected[:12, :12], -offset))
+    np.testing.assert_allclose(made.border, expected[:12, 12:14])
+    np.testing.assert_allclose(made.corner, expected[12:14, 12:14])
+    np.testing.assert_allclose([*made.right, *made.right_corner, made.squares], expected[:, 14])
+    left = np.concatenate([made.projected(rows) for rows in blocks])
+    matrix, right = made.reduced
+    np.testing.assert_allclose(left.T @ left[:, :2], np.vstack([matrix, right]), atol=1e-10)

@@ -10,7 +10,7 @@ import numpy as np
 import hydroopt as ho
 from hydroopt.cli import app
 from hydroopt.estimation.kinematic.mobility import mobility
-from hydroopt.estimation.motion.expected import expected_calibration
+from hydroopt.estimation.motion.sensor_calibration import expected_calibration
 from tests.estimation.motion.test_motion_fit import arm, simulated, truth
 
 SURVEY = Path(__file__).parents[3] / "docs/how-to/survey.toml"

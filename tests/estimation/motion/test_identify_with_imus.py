@@ -15,7 +15,6 @@ from hydroopt.estimation.motion import misread
 from hydroopt.estimation.motion import sensed as module
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.wording import Kind
 from tests.estimation.motion.test_motion_fit import ARM, simulated
 
 BODIES = ('body = { m = { value = "300 kg", sigma = "30 %" }, com = { value = ["1.4 m", "0.1 m", "0 m"], '
@@ -50,14 +49,14 @@ def uncertain() -> tuple[ho.Machine, ho.Log]:
 def test_a_position_that_is_hardly_known_makes_the_answer_suspect(uncertain: tuple[ho.Machine, ho.Log]) -> None:
     machine, log = uncertain
     found = ho.solve(ho.identification_problem(machine, [log]), intervals=False)
-    (said,) = of_kind(found.diagnostics, Kind.POSITION_ASSUMED)
+    (said,) = of_kind(found.diagnostics, "uncertain position of a joint taken as exact")
     assert said.subject == ("stick",)
     assert 1.0 < said.evidence["std"] < 2.5
     assert found.status == "suspect"
     assert any("at rest" in step.text for step in found.verdict.next_steps)
     exact = ho.solve(ho.identification_problem(arm(stick_exact=True), [simulated(arm(stick_exact=True), 3)[1]]),
                      intervals=False)
-    assert not of_kind(exact.diagnostics, Kind.POSITION_ASSUMED)
+    assert not of_kind(exact.diagnostics, "uncertain position of a joint taken as exact")
     assert exact.status == "ok"
 
 
@@ -76,7 +75,7 @@ def test_motion_is_fitted_once_whatever_bodies_and_friction_are(monkeypatch: pyt
     machine = arm(stick_exact=True)
     log, count = simulated(machine, 5, duration=6.0)[1], []
     fit = misread.examined_fit
-    monkeypatch.setattr(misread, "examined_fit", lambda problem: count.append(problem) or fit(problem))
+    monkeypatch.setattr(module, "examined_fit", lambda problem: count.append(problem) or fit(problem))
     first, again = (module.sensed(each, log) for each in (machine, machine.with_values({"boom.m": 310.0})))
     np.testing.assert_array_equal(first.motion.q, again.motion.q)
     assert len(count) == 1
@@ -89,5 +88,5 @@ def test_the_check_of_a_log_says_it_before(uncertain: tuple[ho.Machine, ho.Log])
     machine, log = uncertain
     less = replace(log, channels={name: x for name, x in log.channels.items() if name != "boom.tau"})
     found = check_logs(machine, [less])
-    assert of_kind(found.diagnostics, Kind.POSITION_ASSUMED)
-    assert [each.subject for each in of_kind(found.diagnostics, Kind.FORCE_NOT_MEASURED)] == [("boom_drive",)]
+    assert of_kind(found.diagnostics, "uncertain position of a joint taken as exact")
+    assert [each.subject for each in of_kind(found.diagnostics, "force not measured in a log")] == [("boom_drive",)]

@@ -64,18 +64,19 @@ def test_the_equations_are_those_of_the_objective_differentiated_numerically():
     fit = fit_motion(sensor_problem(said, [log], geometry=False), enough=2).fit
     place = fit.places["boom.q, stick.q: lag"]
     fit = replace(fit, value=fit.value - 0.01 * (np.arange(len(fit.value)) == place))
-    equations, _ = fit.equations(fit.stretches[0])
+    (equations,), *_ = fit.linearised()
     step = np.zeros_like(fit.value)
     step[place] = 1e-5
-    numeric = (replace(fit, value=fit.value - step).objective() - replace(fit, value=fit.value + step).objective())
+    numeric = (replace(fit, value=fit.value - step).linearised().objective
+               - replace(fit, value=fit.value + step).linearised().objective)
     by_prior = (fit.value[place] - 0.045) / 0.02**2
     assert numeric / 4e-5 == pytest.approx(equations.right_corner[place] - by_prior, rel=1e-3)
     size = fit.stretches[0].path.coefficients.shape
     for at in (3, 20, 31):
         step = np.zeros(size)
         step.flat[at] = 1e-6
-        numeric = (replace(fit, stretches=(fit.stretches[0].moved(-step),)).objective()
-                   - replace(fit, stretches=(fit.stretches[0].moved(step),)).objective())
+        numeric = (replace(fit, stretches=(fit.stretches[0].moved(-step),)).linearised().objective
+                   - replace(fit, stretches=(fit.stretches[0].moved(step),)).linearised().objective)
         assert numeric / 4e-6 == pytest.approx(equations.right[at], rel=1e-4, abs=1.0)
 
 

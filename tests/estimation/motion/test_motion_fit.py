@@ -78,20 +78,21 @@ def test_steps_are_those_of_the_objective_differentiated_numerically():
     rng = np.random.default_rng(0)
     fit = replace(fit, value=fit.value + 0.3 * fit.sigma * rng.normal(size=len(fit.value)),
                   stretches=(fit.stretches[0].moved(0.01 * rng.normal(size=fit.stretches[0].path.coefficients.shape)),))
-    equations, _ = fit.equations(fit.stretches[0])
+    (equations,), *_ = fit.linearised()
     prior = np.array([each.prior for each in fit.common])
     by_common = equations.right_corner - (fit.value - prior) / fit.sigma**2
     for place in (0, 3, 8, len(fit.value) - 1):
         step = np.zeros_like(fit.value)
         step[place] = 1e-4 * fit.sigma[place]
-        numeric = (replace(fit, value=fit.value - step).objective() - replace(fit, value=fit.value + step).objective())
+        numeric = (replace(fit, value=fit.value - step).linearised().objective
+                   - replace(fit, value=fit.value + step).linearised().objective)
         assert numeric / (4 * step[place]) == pytest.approx(by_common[place], rel=1e-4, abs=1e-3)
     size = fit.stretches[0].path.coefficients.shape
     for place in (0, 7, 20):
         step = np.zeros(size)
         step.flat[place] = 1e-6
-        numeric = (replace(fit, stretches=(fit.stretches[0].moved(-step),)).objective()
-                   - replace(fit, stretches=(fit.stretches[0].moved(step),)).objective())
+        numeric = (replace(fit, stretches=(fit.stretches[0].moved(-step),)).linearised().objective
+                   - replace(fit, stretches=(fit.stretches[0].moved(step),)).linearised().objective)
         assert numeric / 4e-6 == pytest.approx(equations.right[place], rel=1e-4, abs=1.0)
 
 

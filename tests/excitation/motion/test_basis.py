@@ -6,6 +6,8 @@ at their ends; those of the spline are evaluated by FITPACK on knots and points 
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, splev
@@ -20,7 +22,7 @@ Array = np.ndarray
 
 
 def named(basis: Basis) -> str:
-    return "-".join(map(str, (type(basis).__name__, *basis.as_dict().values())))
+    return "-".join(map(str, (type(basis).__name__, *asdict(basis).values())))
 
 
 def waves(basis: Fourier, t: Array, order: int) -> Array:
@@ -121,9 +123,13 @@ def test_speed_is_continuous_where_pieces_meet(basis: Basis) -> None:
 
 
 @pytest.mark.parametrize("basis", ALL, ids=named)
-def test_basis_says_what_it_is_made_by(basis: Basis) -> None:
-    assert type(basis)(**basis.as_dict()) == basis
-    assert basis.rows(between(basis)).position.shape[1] == len(basis.names) == len(set(basis.names))
+def test_a_slower_basis_leads_along_the_same_path(basis: Basis) -> None:
+    slow, t = basis.at_pace(0.4), between(basis)
+    assert slow.duration == pytest.approx(basis.duration / 0.4)
+    assert slow.fastest == pytest.approx(0.4 * basis.fastest)
+    for order, (own, late) in enumerate(zip(basis.rows(t), slow.rows(t / 0.4), strict=True)):
+        np.testing.assert_allclose(late, 0.4**order * own, rtol=0, atol=1e-9 * np.max(np.abs(own)))
+    assert basis.rows(t).position.shape[1] == len(basis.names) == len(set(basis.names))
 
 
 @pytest.mark.parametrize("basis", [

@@ -15,7 +15,8 @@ from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.machine.environment import Pump, Workspace
+from hydroopt.machine.environment import Pump
+from hydroopt.machine.links import Box
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.simulate import random_trajectory
 
@@ -141,7 +142,7 @@ def test_what_no_posture_keeps_is_named(model: Model) -> None:
         information = Information(own, design_parameters(own, force_noise(own)), "D")
         return ExcitationProblem(information, Limits(own), BASES[1], 20.0)
 
-    nowhere = Workspace(lower=(20.0, -1.0, -1.0), upper=(21.0, 1.0, 1.0))
+    nowhere = Box(lower=(20.0, -1.0, -1.0), upper=(21.0, 1.0, 1.0))
     with pytest.raises(ProblemError, match="workspace along x cannot be kept in any posture"):
         design(limited(model.machine.model_copy(update={"workspace": nowhere})), starts=1, search_seconds=1.0)
     with pytest.raises(ProblemError, match="bandwidth"):

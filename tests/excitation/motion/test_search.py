@@ -24,7 +24,8 @@ from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import Reserves
-from hydroopt.machine.environment import Obstacle, Pump, Workspace
+from hydroopt.machine.environment import Obstacle, Pump
+from hydroopt.machine.links import Box
 from hydroopt.machine.machine import Machine
 from hydroopt.results.answer import load
 from hydroopt.simulation.reference_motion import reference_motion
@@ -155,7 +156,7 @@ def ball(centre: tuple[float, float, float], radius: float) -> tuple[Obstacle, .
     return (Obstacle(name="shed", link="base", centre=centre, radius=radius),)
 
 
-NOWHERE = Workspace(lower=(5.0, -1.0, -1.0), upper=(7.0, 1.0, 1.0))
+NOWHERE = Box(lower=(5.0, -1.0, -1.0), upper=(7.0, 1.0, 1.0))
 IMPOSSIBLE = {
     "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)},
                                  "distance of .* to shed.* cannot be kept in any"),
@@ -164,7 +165,7 @@ IMPOSSIBLE = {
     "a ball that fills the workspace": (
         {"obstacles": ball((6.0, 0.0, 0.0), 3.0), "workspace": NOWHERE},
         "workspace along x, .*distance of .* to shed.* cannot be kept together in any"),
-    "nowhere": ({"workspace": Workspace(lower=(-1.0, -1.0, 30.0), upper=(1.0, 1.0, 31.0))},
+    "nowhere": ({"workspace": Box(lower=(-1.0, -1.0, 30.0), upper=(1.0, 1.0, 31.0))},
                 "workspace along z cannot be kept in any")}
 
 
@@ -182,7 +183,7 @@ def test_limits_in_conflict_are_named(kind: str) -> None:
 @pytest.mark.slow
 def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
     """With the boom raised, the tip is never low enough; by itself either can be kept."""
-    high = CAT.model_copy(update={"workspace": Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, -1.0))})
+    high = CAT.model_copy(update={"workspace": Box(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, -1.0))})
     design(program(high), starts=1, search_seconds=1.0)
     with pytest.raises(ProblemError, match=r"workspace along z .*posture of joints that rest"):
         design(program(high, resting={"boom": CAT.link("boom").joint.range[0]}), starts=1, search_seconds=1.0)

@@ -1,0 +1,232 @@
+"""A run of a command: what most commands are told, and what they do with it: read, compute, save and print."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hydroopt.cli import options
+from hydroopt.cli.terminal import WORDS, echo
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from hydroopt.limits.reserves import Reserves
+    from hydroopt.logs.log import Log
+    from hydroopt.logs.smoothing import Smoothing
+    from hydroopt.machine.machine import Machine
+    from hydroopt.parameters.parameter_set import ParameterSet
+    from hydroopt.results.answer import Answer
+    from hydroopt.results.json_file import Job
+
+SomeAnswer = TypeVar("SomeAnswer", bound="Answer")
+SHARED: dict[str, Any] = {
+    "output": options.Directory, "map_file": options.MapFile, "treat": options.Treat,
+    "smoothing_text": options.SmoothingText, "bandwidth": options.Bandwidth, "fix": options.Fixed,
+    "reserve": options.Reserve, "seed": options.Seed, "parameter_set": options.ParameterSetName,
+    "quiet": options.Quiet, "as_json": options.AsJson}
+"""Options that several commands share, by the attribute of the run that holds them."""
+ANSWER = ("output", "quiet", "as_json")
+"""Those of all commands that save an answer."""
+LOGS = ("map_file", "treat", "parameter_set")
+"""Those of all commands that read logs."""
+SMOOTHING = ("smoothing_text", "bandwidth")
+
+
+@dataclass
+class Run:
+    """What a command was told by the options in `SHARED`; those that it does not have are as if not given.
+
+    Attributes:
+        named: the machine's name, file or folder.
+        began: when it began, as `time.perf_counter` counts [s].
+    """
+
+    named: str
+    output: Path = Path()
+    map_file: Path | None = None
+    treat: list[str] | None = None
+    smoothing_text: str = "spline"
+    bandwidth: float | None = None
+    fix: list[str] | None = None
+    reserve: list[str] | None = None
+    seed: int = 0
+    parameter_set: str | None = None
+    quiet: bool = False
+    as_json: bool = False
+    began: float = field(default_factory=time.perf_counter)
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The machine."""
+        from hydroopt.machine.machine_file import load_machine
+
+        return load_machine(self.named, parameter_set=self.parameter_set)
+
+    @property
+    def smoothing(self) -> Smoothing:
+        """How logs are smoothed."""
+        return options.smoothing_of(self.smoothing_text, self.bandwidth, self.machine)
+
+    @property
+    def reserves(self) -> Reserves:
+        """What is kept unused of limits."""
+        return options.reserves_of(self.machine, self.reserve or ())
+
+    def fixed(self, parameters: ParameterSet) -> dict[str, float]:
+        """Values [SI] at which parameters are held."""
+        return options.parameter_values(self.fix or (), parameters)
+
+    def read(self, paths: Sequence[Path] | None) -> list[Log]:
+        """Logs, each with the same map, treatment and pressure limits."""
+        from hydroopt.logs.log_files import read_log
+
+        treatment, limits = options.treatment_of(self.treat), options.reliefs(self.machine)
+        return [read_log(path, mapping=self.map_file, treatment=treatment, limits=limits) for path in paths or ()]
+
+    def parted(self, train: Sequence[Path], validation: Sequence[Path] | None,
+               holdout: float) -> tuple[list[Log], list[Log]]:
+        """Training logs without the part of their end that is held out, and validation logs with it."""
+        logs, others = self.read(train), self.read(validation)
+        if not holdout:
+            return logs, others
+        pairs = [log.split(1 - holdout) for log in logs]
+        return [pair[0] for pair in pairs], [*others, *(pair[1] for pair in pairs)]
+
+    def session(self, paths: Sequence[Path], option: str) -> list[Log] | Path:
+        """The logs of a session, or the one directory that `hydroopt identify` wrote from them.
+
+        Raises:
+            ProblemError: there is a directory beside other paths.
+            LogError: a log cannot be read.
+        """
+        if not any(os.path.isdir(path) for path in paths):
+            return self.read(paths)
+        if len(paths) > 1:
+            raise ProblemError("a directory stands for a whole session", where=option,
+                               remedy="give one directory, or logs only")
+        return paths[0]
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Progress]:
+        """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
+        if self.quiet or not sys.stderr.isatty():  # rich takes longer to load than many a job
+            yield silent
+            return
+        from rich.console import Console
+
+        from hydroopt.cli.progress_line import progress_line
+
+        with progress_line(Console(stderr=True)) as shown:
+            task = shown.add_task(what, total=1.0)
+            yield lambda text, part=None: shown.update(task, description=text, completed=part)
+
+    @contextmanager
+    def failure_saved(self, job: Job, method: str,
+                      inputs: Callable[[], Sequence[Mapping[str, Any]]] = tuple) -> Iterator[None]:
+        """Save why a solver gave no trustworthy answer, and raise its error again."""
+        from hydroopt.results import json_file
+
+        try:
+            yield
+        except SolverError as error:
+            json_file.write_failure(self.output, job, json_file.MachineId.of(self.machine), method, inputs(), error)
+            raise
+
+    def saved(self, answer: SomeAnswer, say: Progress = silent, files: Mapping[str, str | bytes | None] | None = None,
+              **how: Any) -> SomeAnswer:
+        """An answer with next steps that continue this command, saved with its page and other files."""
+        from hydroopt.results.answer import CommandLine
+        from hydroopt.viewing import page_of
+
+        made = answer.typed(CommandLine(WORDS.get(), str(self.output)))
+        say("writing the report", 0.8)
+        made.save(self.output, pages={"report.html": page_of(made), **(files or {})},
+                  wall_s=time.perf_counter() - self.began, **how)
+        return made
+
+    def show(self, answer: Answer, text: str = "", *, forced: bool = False) -> None:
+        """Print an answer that was saved: as its JSON file, or its verdict, a text, diagnostics and the report.
+
+        Args:
+            answer: what was saved.
+            text: instead of the answer's own.
+            forced: whether it may rest on logs that contradict the machine file.
+
+        Raises:
+            SolverError: a log is misread.
+        """
+        from hydroopt.results import json_file
+
+        if self.as_json:
+            echo(json.dumps(json_file.read(self.output), indent=1))
+        elif not self.quiet:
+            print_answer(answer, text)
+            if (self.output / "report.html").is_file():
+                echo(f"{self.output / 'report.html'}")
+        if not forced:
+            refuse_refuted(answer, str(self.output))
+
+
+def print_answer(answer: Answer, text: str = "") -> None:
+    """Print the verdict of an answer, a text instead of its own, and its diagnostics."""
+    from hydroopt.results.diagnostic import summary
+    from hydroopt.results.verdict import WIDTH
+
+    echo(f"{answer.verdict.card(shutil.get_terminal_size(fallback=(WIDTH, 24)).columns)}\n")
+    echo(text or str(answer))
+    for heading, sentences in summary(answer.diagnostics).items():
+        echo(f"{heading}:")
+        for sentence in sentences:
+            echo(f"  ! {sentence}")
+
+
+def refuse_refuted(answer: Answer, where: str) -> None:
+    """End a command whose answer was saved and printed, but rests on logs that contradict the machine file.
+
+    Raises:
+        SolverError: a log is misread.
+    """
+    if answer.refuted:
+        raise SolverError("the logs contradict the machine file, so that this answer cannot be trusted", where=where,
+                          remedy="correct what the diagnostics name")
+
+
+def command(*shared: str, machine: Any = options.MachineName) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A command whose function takes a `Run` first, made of its machine and of options in `SHARED`.
+
+    Args:
+        shared: names of these options.
+        machine: what names the machine.
+    """
+    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+        defaults = {each.name: each.default for each in inspect.signature(Run).parameters.values()}
+        defaults["output"] = inspect.Parameter.empty
+        _, *own = inspect.signature(function, eval_str=True).parameters.values()
+        given = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=kind)
+                 for name, kind in SHARED.items() if name in shared]
+
+        def run(**values: Any) -> None:
+            told = {name: values.pop(name) for name in shared}
+            function(Run(values.pop("machine"), **told), **values)
+
+        first = [inspect.Parameter("machine", inspect.Parameter.KEYWORD_ONLY, annotation=machine)]
+        first += [each for each in given if each.name == "output"]
+        parameters = [*first, *(each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in own),
+                      *(each for each in given if each.name != "output")]
+        run.__name__, run.__doc__ = function.__name__, function.__doc__
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        return run
+
+    return decorated

@@ -1,1 +1,0 @@
-"""Which calibrator to build, and where to mount it: the linkage of chapter 3, designed with its poses."""

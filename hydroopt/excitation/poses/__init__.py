@@ -1,1 +1,0 @@
-"""The poses to measure next."""

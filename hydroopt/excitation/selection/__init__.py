@@ -1,0 +1,1 @@
+"""Choosing measurements: poses, readings by hand, motions, and the calibrator to build."""

@@ -1,0 +1,408 @@
+"""The fewest readings by hand that determine where the tip is: which one to take in which posture.
+
+A measure-up needs no rig: prisms, tapes, a level, and datums to touch, as the machine file states them. Each reading by
+hand takes minutes; joint sensors, and what is said to take none, read by themselves in every posture. A greedy search
+adds the reading that lowers the tip's mean variance over the workspace most per minute, until the tip is known well
+enough, and leaves out what is then superfluous. Then postures are exchanged: each in turn is taken away, and others are
+searched in its place, as long as minutes are saved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.listing import counted
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.excitation.criteria import gains
+from hydroopt.excitation.selection.candidate_postures import random_candidates
+from hydroopt.excitation.selection.pose_plan import PosePlan
+from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, PoseLabels, PoseProblem, pose_problem
+from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Reading, readings, tip_rows
+from hydroopt.limits.reserves import DEFAULT, Reserves
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import GivenMachine, machine_of
+from hydroopt.progress import Progress, silent
+from hydroopt.results.readable import readable
+from hydroopt.results.tables import number
+from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
+from hydroopt.spatial.inertia import Array
+
+Chosen = NDArray[np.bool_]
+"""Which of R readings are taken in which of N candidate postures, (N, R)."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasureUpProblem(CombinatorialProblem):
+    """Which readings to take by hand so that the tip is known well enough; solving never changes it.
+
+    Attributes:
+        poses: the machine, its stages and set-ups, and the parameters that are held.
+        tip: standard deviation of the tip [m] to reach, root mean square over the workspace.
+        minutes: what a reading takes, by its name; the others take what `readings` states.
+
+    See `measure_up_problem`.
+    """
+
+    poses: PoseProblem
+    tip: float
+    minutes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def machine(self) -> Machine:
+        """What is measured."""
+        return self.poses.machine
+
+    @cached_property
+    def readings(self) -> tuple[Reading, ...]:
+        """What can be read, with the minutes that it takes."""
+        return tuple(replace(each, minutes=self.minutes.get(each.name, each.minutes))
+                     for each in readings(self.poses.model, self.poses.channels))
+
+    def fixing(self, **values: float) -> MeasureUpProblem:
+        """The problem with parameters held, ``fixing(**{"tip.z": 0.0})`` [SI].
+
+        Raises:
+            ProblemError: there is no such parameter.
+        """
+        return replace(self, poses=self.poses.fixing(**values))
+
+    def __repr__(self) -> str:
+        by_hand = ", ".join(each.name for each in self.readings if each.by_hand)
+        return f"<MeasureUpProblem of {self.machine.name}: tip to {1e3 * self.tip:.3g} mm by {by_hand}>"
+
+    def __str__(self) -> str:
+        return "\n".join([
+            f"measure-up of {self.machine.name}: tip to {1e3 * self.tip:.3g} mm",
+            "minimise the minutes of", *(f"  {each}" for each in self.readings if each.by_hand),
+            f"  {DRIVE:g} min for each posture",
+            "subject to", "  limits of joints and strokes", "  reserves of the machine's other limits",
+            "  the tip's standard deviation, root mean square over the workspace"])
+
+
+def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[str, float] | None = None,
+                       fixed: Mapping[str, float] | None = None, setups: Sequence[str] = ("",),
+                       reserves: Reserves = DEFAULT) -> MeasureUpProblem:
+    """Which readings to take by hand for a machine's calibration.
+
+    Args:
+        machine: states what may be read (targets and instruments, distances, datums, inclinometers, cylinders'
+            lengths) with sensors' accuracy, and which lengths and angles are uncertain.
+        tip: standard deviation of the tip [m] to reach, root mean square over the workspace.
+        minutes: what a reading takes, by its name, such as ``{"tape": 3.0}``; 0 for one that needs no hand.
+        fixed: values [SI] of parameters that are held.
+        setups: names of the set-ups in which instruments of unknown pose stand.
+        reserves: that each posture keeps of the machine's limits.
+
+    Raises:
+        ProblemError: the machine states no reading by hand, there is no such reading, or the accuracy is no length.
+
+    >>> import hydroopt
+    >>> machine = hydroopt.read_machine('''
+    ... based_on = "excavator_bucket"
+    ... [tracker]
+    ... [calibrator]
+    ... parent = "bucket"
+    ... [[links]]
+    ... name = "stick"
+    ... joint = { theta = { value = "0 deg", sigma = "1 deg" } }
+    ... [[sensors]]
+    ... channels = ["swing.q", "boom.q", "stick.q", "bucket.q"]
+    ... accuracy = "0.1 deg"
+    ... [[sensors]]
+    ... channels = ["tip.x", "tip.y", "tip.z"]
+    ... accuracy = "5 mm"
+    ... ''')
+    >>> problem = hydroopt.measure_up_problem(machine, tip=0.01)
+    >>> problem
+    <MeasureUpProblem of excavator_bucket: tip to 10 mm by tip>
+    >>> plan = hydroopt.solve(problem, candidates=20)
+    >>> plan.count, plan.tip <= 0.01 < plan.tip_before
+    (1, True)
+    """
+    machine = machine_of(machine, "measure_up_problem")
+    if not (np.isfinite(tip) and tip > 0):
+        raise ProblemError(f"the accuracy {tip:g} m of the tip is not positive", where="tip",
+                           remedy="give a positive length")
+    poses = pose_problem(machine, 1, priors=True, fixed=fixed, setups=setups, reserves=reserves)
+    problem = MeasureUpProblem(poses, tip, dict(minutes or {}))
+    known = {each.name: each for each in problem.readings}
+    for name, spent in problem.minutes.items():
+        if name not in known:
+            raise ProblemError("the machine states no such reading", where=f"minutes of '{name}'",
+                               remedy=f"use {', '.join(known)}")
+        if not (np.isfinite(spent) and spent >= 0):
+            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
+                               remedy="give a number from 0 on")
+    if any(group.fixture for group in poses.groups):
+        raise ProblemError("a fixture holds its tip", where=f"machine '{machine.name}'",
+                           remedy="plan the poses with plan-poses, or leave out the fixtures")
+    if not any(each.by_hand for each in problem.readings):
+        raise ProblemError("nothing is read by hand", where=f"machine '{machine.name}'",
+                           remedy="state targets with an instrument, distances, datums, or cylinders' lengths, with "
+                                  "their sensors")
+    return problem
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasureUpPlan(PosePlan):
+    """Readings to take by hand, posture by posture, in the order of measuring.
+
+    Attributes:
+        readings: R that the machine file offers; `taken` (N, R) which of them to take in which posture.
+        target: standard deviation of the tip [m] that was asked for, `tip` the one to expect and `tip_before` that of
+            the machine file, each a root mean square over the workspace.
+
+    See `measure_up_problem`.
+    """
+
+    readings: tuple[Reading, ...]
+    taken: Chosen
+    target: float
+    tip: float
+    tip_before: float
+
+    @cached_property
+    def calibration(self) -> CalibrationProblem:
+        """The calibration problem of the table that is filled in with what the nominal geometry would give."""
+        there = PostureReadings(self.problem, self.readings, self.q, self.labels)
+        return there.reading(np.arange(len(self.q)), self.taken)
+
+    @property
+    def method(self) -> str:
+        """How it was chosen."""
+        return "fewest readings, per minute"
+
+    @property
+    def count(self) -> int:
+        """Readings by hand."""
+        return int(self.taken[:, [each.by_hand for each in self.readings]].sum())
+
+    @property
+    def minutes(self) -> float:
+        """Minutes for driving and reading."""
+        return float(DRIVE * len(self.q) + (self.taken * [each.minutes for each in self.readings]).sum())
+
+    @property
+    def by_themselves(self) -> tuple[str, ...]:
+        """Channels that the plan counts on in every posture: joints' sensors, and readings that need no hand."""
+        return (*(f"{joint}.q" for joint in self.joints if f"{joint}.q" in self.problem.channels),
+                *(channel for each in self.readings if not each.by_hand for channel in each.channels))
+
+    @property
+    def uses(self) -> tuple[Use, ...]:
+        """How well the tip will be known."""
+        return (Use(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
+            f"expected 95 % interval over the workspace after {self._effort}")),)
+
+    @property
+    def _effort(self) -> str:
+        return f"{counted(self.count, 'reading')} in {counted(len(self.q), 'posture')}"
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """Measure, and calibrate."""
+        along = " and what reads by itself" if self.by_themselves else ""
+        return (NextStep(Action.MEASURE, f"Take the readings of sheet.txt (about {self.minutes:.0f} min), and fill "
+                                         f"them{along} into poses.csv; leave all other cells empty."),
+                NextStep(Action.USE, "Then:", f"hydroopt calibrate {self.machine.source} "
+                                              f"{self.command_line.path('poses.csv')} -o calibration"))
+
+    def details(self) -> Mapping[str, Any]:
+        """What was chosen, and how well the tip will be known."""
+        return {**super().details(), "readings": self.count, "minutes": number(self.minutes),
+                "tip_m": number(self.tip), "tip_before_m": number(self.tip_before), "target_m": number(self.target),
+                "taken": [[each.name for each, there in zip(self.readings, row, strict=True) if there]
+                          for row in self.taken]}
+
+    def sheet(self) -> str:
+        """The measuring sheet as plain text: where to drive, what to read there, and what to expect."""
+        text = [f"{self._effort} for {self.machine.name}: about {self.minutes:.0f} min. The tip is then known to "
+                f"{readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
+        text += ["", self.watch.list, "", self.left_out.sentence, self.ways]
+        if self.by_themselves:
+            text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
+        read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]
+        printed = {joint: self._printed(joint) for joint in read}
+        before: tuple[str, ...] = ()
+        for k in range(len(self.q)):
+            group = tuple(str(each[k]) for each in self.labels)
+            if group != before and any(group):
+                text += ["", ", ".join(f"{name} '{value}'" for name, value in
+                                       zip(self.labels._fields, group, strict=True) if value)]
+            before = group
+            places = ", ".join(f"{joint} {texts[k]} {unit}" for joint, (unit, texts) in printed.items())
+            lengths = ", ".join(f"{cylinder.name} {1e3 * length:.0f} mm" for cylinder, length in
+                                zip(self.machine.cylinders, self.lengths[k], strict=True))
+            text += ["", f"posture {k + 1}: {places or lengths}"]
+            text += [f"  read {each.name}{self._expected(each, k)}"
+                     for each, there in zip(self.readings, self.taken[k], strict=True) if there and each.by_hand]
+        return "\n".join(text) + "\n"
+
+    def _expected(self, reading: Reading, k: int) -> str:
+        """The values that the nominal geometry gives; none where the instrument's place is not known."""
+        if any(each.name == reading.name.partition(".")[0] and not each.stands for each in self.machine.instruments):
+            return ""
+        expected = self.calibration.poses
+        values = [(channel.rpartition(".")[2], float(expected.channels[channel][k]), expected.units[channel])
+                  for channel in reading.channels]
+        return ": " + ", ".join(f"{name} {1e3 * value:.0f} mm" if unit == "m" else f"{name} {np.degrees(value):.1f} deg"
+                         if unit == "rad" else f"{name} {value:.4g} {unit}" for name, value, unit in values)
+
+
+def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: int = 0,
+                    progress: Progress = silent) -> MeasureUpPlan:
+    """Choose readings: the best one per minute after another, then postures in exchange for others.
+
+    Args:
+        problem: what may be read, and how well the tip is to be known.
+        candidates: random postures of each group to choose from.
+        seed: of the random postures.
+        progress: receives the steps, see `hydroopt.progress`.
+
+    Raises:
+        ProblemError: no posture lies within the limits, or no choice reaches the accuracy.
+    """
+    q, left_out = random_candidates(problem.poses, candidates, np.random.default_rng(seed), progress)
+    choice = _Choice(problem, np.concatenate(q), problem.poses.labels(candidates))
+    before, reachable = (np.sqrt(choice.variance(choice.postures.information(read)))
+                         for read in (choice.nothing, choice.postures.there))
+    if before <= problem.tip:
+        raise ProblemError(f"the machine file states the tip to {1e3 * before:.3g} mm already",
+                           where=f"tip to {1e3 * problem.tip:.3g} mm", remedy="state a 'sigma' for every length, angle "
+                           "and pin that may be off, or ask for more")
+    progress("choosing readings", 0.4)
+    chosen = choice.reaching(choice.nothing) if reachable <= problem.tip else None
+    if chosen is None:
+        raise ProblemError(
+            f"all readings in {len(choice.nothing)} postures leave the tip to {1e3 * reachable:.3g} mm",
+            where=f"tip to {1e3 * problem.tip:.3g} mm", remedy="ask for less, state more accurate sensors or other "
+            "readings, or fewer uncertain numbers")
+    progress("exchanging postures until none helps", 0.5)
+    chosen = choice.exchanged(chosen)
+    places = np.flatnonzero(chosen.any(axis=1))
+    return MeasureUpPlan(
+        problem.poses, candidates, seed, PoseLabels(*(each[places] for each in choice.postures.labels)),
+        choice.postures.q[places], left_out, problem.readings, chosen[places], problem.tip,
+        float(np.sqrt(choice.variance(choice.postures.information(chosen)))), float(before))
+
+
+class _Choice:
+    """What may be chosen among the readings of N candidate postures, and what it is worth."""
+
+    def __init__(self, problem: MeasureUpProblem, q: Array, labels: PoseLabels) -> None:
+        self.target = problem.tip**2
+        self.postures = PostureReadings(problem.poses, problem.readings, q, labels)
+        self.by_hand = np.array([each.by_hand for each in problem.readings])
+        self.minutes = np.array([each.minutes for each in problem.readings])
+        self.touching = labels.touch[:, None] == np.array([each.name for each in problem.readings])
+        self.nothing = np.zeros_like(self.postures.there)
+        self.task = tip_rows(self.postures.calibration)[:, self.postures.free]
+
+    def variance(self, information: Array) -> float:
+        """Mean variance of the tip [m²] over the workspace by an information (f, f)."""
+        return float(np.sum(self.task * np.linalg.solve(information, self.task.T).T))
+
+    def spent(self, chosen: Chosen) -> float:
+        """Minutes of readings."""
+        return float(DRIVE * chosen.any(axis=1).sum() + (chosen * self.minutes).sum())
+
+    def reaching(self, chosen: Chosen, most: float = np.inf) -> Chosen | None:
+        """These readings and the most useful ones per minute, until the tip is known well enough, without those that
+        are then superfluous; None where that is not possible in less than so many minutes."""
+        while self.variance(self.postures.information(chosen)) > self.target:
+            more = self.with_best(chosen) if self.spent(chosen) < most else None
+            if more is None:
+                return None
+            chosen = more
+        chosen = self.without_superfluous(chosen)
+        return chosen if self.spent(chosen) < most else None
+
+    def exchanged(self, chosen: Chosen) -> Chosen:
+        """Other readings in place of those of one posture after another, as long as minutes are saved."""
+        helped = True
+        while helped:
+            helped = False
+            for k in np.flatnonzero(chosen.any(axis=1)):
+                rest = np.where((np.arange(len(chosen)) == k)[:, None], False, chosen)
+                if (other := self.reaching(rest, self.spent(chosen))) is not None:
+                    chosen, helped = other, True
+        return chosen
+
+    def with_best(self, chosen: Chosen) -> Chosen | None:
+        """Also the reading, or the readings of a new posture, that lower the variance most per minute; None if none
+        lowers it."""
+        information, fresh = self.postures.information(chosen), ~chosen.any(axis=1)
+        covariance, now = np.asarray(np.linalg.inv(information)), self.variance(information)
+        most, best = 0.0, None
+        for read, rows, spent in self._firsts:
+            gain = np.where(fresh, gains(rows, covariance, covariance @ self.task.T), 0.0) / spent
+            k = int(np.argmax(gain))
+            if gain[k] > most:
+                most, best = float(gain[k]), (k, read[k])
+        for k, read_there, added, spent in self._changes(chosen, ~chosen):
+            gain_there = (now - self.variance(information + added)) / spent
+            if gain_there > most:
+                most, best = gain_there, (k, read_there)
+        if best is None:
+            return None
+        more = chosen.copy()
+        more[best[0]] = best[1]
+        return more
+
+    @cached_property
+    def _firsts(self) -> list[tuple[Chosen, Array, float]]:
+        """What may be read first in each posture (N, R), one reading by hand or all, with what reads by itself; its
+        whitened rows (N, u, f), and the minutes."""
+        hands = np.flatnonzero(self.by_hand)
+        single = [~self.by_hand | (np.arange(len(self.by_hand)) == r) for r in hands]
+        made = []
+        for kind in [*single, np.ones(len(self.by_hand), dtype=bool)] if len(hands) > 1 else single:
+            read = self._sensible(self.postures.there & kind, self.touching)
+            made.append((read, self.postures.rows_of(np.arange(len(read)), read),
+                         DRIVE + float((read * self.minutes).sum(axis=1).max())))
+        return made
+
+    def _changes(self, chosen: Chosen, possible: Chosen) -> Iterator[tuple[int, Chosen, Array, float]]:
+        """Other choices in postures that are measured, by one reading by hand among the `possible` (N, R) more or
+        less: posture, readings (R,) there, information (f, f) that is added, and minutes that are spent, both less than
+        nothing where a reading is left out."""
+        places = np.flatnonzero(chosen.any(axis=1))
+        for r in np.flatnonzero(self.by_hand):
+            some = places[(self.postures.there & possible)[places, r]]
+            if not len(some):
+                continue
+            read = chosen[some]
+            read[:, r] ^= True
+            read = self._sensible(read, self.touching[some])
+            before, after = (rows.transpose(0, 2, 1) @ rows for rows in (
+                self.postures.rows_of(some, each) for each in (chosen[some], read)))
+            spent = (read.astype(float) - chosen[some]) @ self.minutes - np.where(read.any(axis=1), 0.0, DRIVE)
+            yield from zip(some.tolist(), read, after - before, spent.tolist(), strict=True)
+
+    def _sensible(self, read: Chosen, touching: Chosen) -> Chosen:
+        """Readings (K, R) without those of postures to which no one drives: where nothing is read by hand, or the
+        machine would touch a datum (K, R) that is not read."""
+        there = (read & self.by_hand).any(axis=1) & ~(touching & ~read).any(axis=1)
+        return np.asarray(read & there[:, None])
+
+    def without_superfluous(self, chosen: Chosen) -> Chosen:
+        """Without readings, the least useful per minute first, as long as the tip stays known well enough."""
+        while True:
+            information, worth = self.postures.information(chosen), list[tuple[float, int, Chosen]]()
+            now = self.variance(information)
+            for k, read, added, spent in self._changes(chosen, chosen):
+                left = self.variance(information + added)
+                if 0 < left <= self.target:
+                    worth.append(((now - left) / spent, k, read))
+            if not worth:
+                return chosen
+            _, k, read = min(worth, key=lambda each: each[0])
+            chosen = chosen.copy()
+            chosen[k] = read

@@ -1,1 +1,0 @@
-"""What instruments, tapes and datums read at a pose, as rows of a kinematic calibration: one kind a file."""

@@ -1,0 +1,60 @@
+"""A diagnostic states itself; a terminal shows those of the data apart, and folds groups into one line."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from string import Formatter
+
+import pytest
+
+import hydroopt
+from hydroopt.results.diagnostic import DATA, MACHINE, NOT_SEPARABLE, Diagnostic, Meaning, summary
+
+NO_VALIDATION = Diagnostic("no validation data", (), {}, "No log was held out.")
+
+
+def groups(*several: tuple[str, ...]) -> list[Diagnostic]:
+    return [Diagnostic.of(NOT_SEPARABLE, names, {"effects": "gravity", "variance_inflation": 200.0},
+                          "Not separable: {effects} ({subject}).", "Only together: reverse the motion.",
+                          Meaning.PROPERTY) for names in several]
+
+
+@pytest.mark.parametrize("meaning", Meaning)
+def test_what_contradicts_an_answer_is_not_a_property_of_its_machine(meaning: Meaning) -> None:
+    found = Diagnostic("a", (), {}, "", meaning=meaning)
+    assert not (found.contradicts and found.about_machine)
+
+
+def test_groups_that_are_not_separable_are_one_line_with_their_number() -> None:
+    told = summary([*groups(("boom.m", "stick.m"), ("boom.mc_x", "boom.mc_y", "stick.mc_x")), NO_VALIDATION])
+    assert list(told) == [DATA, MACHINE]
+    (line,) = told[MACHINE]
+    assert line.startswith("5 parameters in 2 groups are not separable in this motion")
+    assert "Reverse the motion" in line
+
+
+def test_a_single_group_is_named() -> None:
+    assert "boom.m, stick.m" in summary(groups(("boom.m", "stick.m")))[MACHINE][0]
+
+
+def stated() -> Iterator[tuple[str, set[str], set[str]]]:
+    """Where a diagnostic is made of texts and evidence that stand there: the fields of its texts, and what fills them.
+    """
+    for file in sorted(Path(hydroopt.__file__).parent.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "Diagnostic.of"):
+                continue
+            _, _, evidence, *texts = node.args
+            if isinstance(evidence, ast.Dict) and None not in evidence.keys:
+                templates = [text.value for text in texts if isinstance(text, ast.Constant)]
+                yield (f"{file.name}:{node.lineno}",
+                       {name for text in templates for _, name, _, _ in Formatter().parse(text) if name},
+                       {"subject", *(ast.literal_eval(key) for key in evidence.keys if key is not None)})
+
+
+def test_evidence_fills_every_sentence() -> None:
+    found = list(stated())
+    assert len(found) > 100
+    assert not [where for where, fields, filled in found if not fields <= filled]
