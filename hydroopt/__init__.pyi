@@ -6,8 +6,8 @@ from .errors import MachineError as MachineError
 from .errors import ProblemError as ProblemError
 from .errors import SolverError as SolverError
 from .estimation.combined.estimate import CombinedEstimate as CombinedEstimate
-from .estimation.combined.problem import CombinedProblem as CombinedProblem
-from .estimation.combined.problem import combined_problem as combined_problem
+from .estimation.combined.estimate import CombinedProblem as CombinedProblem
+from .estimation.combined.estimate import combined_problem as combined_problem
 from .estimation.dynamic.estimate import Estimate as Estimate
 from .estimation.dynamic.friction_candidates import FrictionChoice as FrictionChoice
 from .estimation.dynamic.friction_choice import choose_friction as choose_friction

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, overload
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
-    from hydroopt.estimation.combined.estimate import CombinedEstimate
-    from hydroopt.estimation.combined.problem import CombinedProblem
+    from hydroopt.estimation.combined.estimate import CombinedEstimate, CombinedProblem
     from hydroopt.estimation.dynamic.estimate import Estimate
     from hydroopt.estimation.dynamic.problem import IdentificationProblem
     from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
 
 SOLVERS = {
-    ("hydroopt.estimation.combined.problem", "CombinedProblem"): (
+    ("hydroopt.estimation.combined.estimate", "CombinedProblem"): (
         "hydroopt.estimation.combined.estimate", "identify_with_geometry"),
     ("hydroopt.estimation.dynamic.problem", "IdentificationProblem"): (
         "hydroopt.estimation.dynamic.identify", "identify"),

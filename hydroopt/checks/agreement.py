@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_coeffs
 
 from hydroopt.errors import HydrooptError
 from hydroopt.logs.forces_from_pressures import force_noise, pressures
@@ -199,7 +198,9 @@ def _noise(angles: Array, segment: NDArray[np.int64]) -> Array:
 
 def _polynomial(window: int) -> Array:
     """Weights (3, window) of value, slope and second derivative per sample of the fitted cubic at its middle."""
-    return np.array([savgol_coeffs(window, 3, deriv=k, use="dot") for k in range(3)])
+    x = np.arange(window) - window // 2
+    inverse = np.linalg.pinv(np.vander(x / window, 4, increasing=True))
+    return np.asarray(inverse[:3] * np.array([1.0, 1.0 / window, 2.0 / window**2])[:, None])
 
 
 def _rows(log: Log, window: int) -> Array:

@@ -11,10 +11,9 @@ import numpy as np
 
 from hydroopt.checks.alternatives import UNITS
 from hydroopt.checks.plausibility import misread
-from hydroopt.limits.limits import Limits
+from hydroopt.limits.limits import Limits, UseOfLimit, courses
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
-from hydroopt.limits.use import UseOfLimit, courses
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import Holdout, LossName, PoseTables, Priors, Starts, Validation, loss_of
+from hydroopt.cli.options import LOSSES, Holdout, LossName, PoseTables, Priors, Starts, Validation, one_of
 from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError
 
@@ -47,7 +47,7 @@ def calibrate(
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.results.json_file import Job
 
-    described, chosen_loss = run.machine, loss_of(loss, "--loss")
+    described, chosen_loss = run.machine, one_of(loss, LOSSES, "loss")
     with run.progress("reading poses") as say:
         poses, held_out = _held_out(read_pose_files(tables, mapping=run.map_file), holdout_stage or (), holdout,
                                     read_pose_files(validate, mapping=run.map_file) if validate else None)

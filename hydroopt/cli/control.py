@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import MachineOrFolder, Noise, Rate
+from hydroopt.cli.options import MachineOrFolder, Noise, Rate, one_of
 from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.errors import ProblemError, visible
 
@@ -68,8 +68,7 @@ def control(
 
     kinds = tuple(controller or UNASKED)
     for kind in kinds:
-        if kind not in KINDS:
-            raise ProblemError(f"'{kind}' is not a controller", where="--controller", remedy=f"use {', '.join(KINDS)}")
+        one_of(kind, KINDS, "controller")
     if not 1.05 <= sensitivity <= 4:
         raise ProblemError(f"gains cannot be tuned to a sensitivity of {sensitivity:g}", where="--sensitivity",
                            remedy="give a number from 1.05 to 4, such as 1.3")

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import Holdout, LossName, TrainingLogs, Validation, distance_of, loss_of
+from hydroopt.cli.options import LOSSES, Holdout, LossName, TrainingLogs, Validation, one_of
 from hydroopt.cli.run import ANSWER, LOGS, SMOOTHING, Run, command
 from hydroopt.errors import ProblemError, SolverError
 
 if TYPE_CHECKING:
-    from hydroopt.estimation.dynamic.identify import Method
     from hydroopt.estimation.dynamic.problem import IdentificationProblem
+
+DISTANCES = ("gaussian", "log-det")
 
 
 @command(*ANSWER, *LOGS, *SMOOTHING, "fix", "seed")
@@ -63,15 +64,16 @@ def identify(
 
     Example: hydroopt identify cat215b out/run/log.csv --holdout 0.3 -o out/estimate
     """
-    from hydroopt.estimation.combined.problem import CombinedProblem
+    from hydroopt.estimation.combined.estimate import CombinedProblem
     from hydroopt.estimation.dynamic.estimate import inputs_of
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
+    from hydroopt.estimation.dynamic.identify import METHODS
     from hydroopt.estimation.dynamic.problem import identification_problem
     from hydroopt.machine.machine_file import dump_machine
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
-    chosen = method_of(method)
+    chosen = one_of(method, METHODS, "method")
     if ridge is not None and chosen != "ridge":
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
@@ -81,7 +83,7 @@ def identify(
                            remedy="choose them first, and give the chosen set")
     described, smoothing = run.machine, run.smoothing
     train, held_out = run.parted(logs, validate, holdout)
-    kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
+    kind, far, full = one_of(loss, LOSSES, "loss"), one_of(distance, DISTANCES, "distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:
         problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), fitted_motion, instruments,
@@ -143,16 +145,3 @@ def _friction(text: str | None) -> list[str]:
     for each in sets:
         terms_of(each)
     return sets
-
-
-def method_of(text: str) -> Method:
-    """The method of identification that an option names.
-
-    Raises:
-        ProblemError: there is no such method.
-    """
-    from hydroopt.estimation.dynamic.identify import METHODS
-
-    if text not in METHODS:
-        raise ProblemError(f"'{text}' is not a method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
-    return text

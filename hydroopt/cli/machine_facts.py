@@ -106,11 +106,10 @@ def _linkage_facts(machine: Machine, loop: LoopRange) -> dict[str, Any]:
 
 def _coupling_facts(machine: Machine, coupling: Coupling) -> dict[str, Any]:
     """A linear relation of joints, in words with its units."""
-    units = machine.coupling_units(coupling)
-    terms = [f"{ratio:.6g}{'' if (unit := units[f'ratio.{joint}']) == '1' else f' {unit}'} * {joint}"
+    terms = [f"{ratio:.6g}{'' if (unit := machine.ratio_unit(coupling.joint, joint)) == '1' else f' {unit}'} * {joint}"
              for joint, ratio in coupling.ratios.items()]
-    offset = [f"{coupling.offset:.6g} {units['offset']}" if units["offset"] != "rad"
-              else f"{math.degrees(coupling.offset):.6g} deg"] * (coupling.offset != 0)
+    offset = [f"{math.degrees(coupling.offset):.6g} deg" if machine.turns(coupling.joint)
+              else f"{coupling.offset:.6g} m"] * (coupling.offset != 0)
     return {"coupling": coupling.name, "relation": f"{coupling.joint} = {' + '.join((*terms, *offset))}"}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,8 +13,6 @@ from hydroopt.errors import ProblemError
 from hydroopt.machine.bundled_files import bundled_files
 
 if TYPE_CHECKING:
-    from hydroopt.estimation.dynamic.weighted_residuals import Loss
-    from hydroopt.estimation.inference.problem import Distance
     from hydroopt.limits.reserves import Reserves
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
@@ -57,6 +55,7 @@ SinglePrecision = Annotated[bool, typer.Option("--float32", help="Single precisi
 Sizes = Annotated[bool, typer.Option("--sizes", help=(
     "State in README.md how much stack and flash the generated C takes, and how many instructions on a Cortex-M4F and "
     "M7."))]
+LOSSES = ("squares", "huber", "student_t")
 LossName = Annotated[str, typer.Option(help="squares, huber or student_t.")]
 Seed = Annotated[int, typer.Option(help="Seed of all that is drawn at random.", min=0)]
 Starts = Annotated[int, typer.Option(help="Number of initial guesses of the search.", min=1)]
@@ -95,26 +94,16 @@ EstimateFolder = Annotated[Path | None, typer.Option("--estimate", metavar="DIR"
     "leaves uncertain, instead of the file's confidences."))]
 
 
-def distance_of(text: str, where: str) -> Distance:
-    """The distance between bodies that an option names.
+def one_of(text: str, choices: Sequence[str], noun: str) -> Any:
+    """The choice that the option of this name states.
 
     Raises:
-        ProblemError: there is no such distance.
+        ProblemError: there is no such choice.
     """
-    if text not in ("gaussian", "log-det"):
-        raise ProblemError(f"the distance '{text}' does not exist", where=where, remedy="use gaussian or log-det")
-    return text  # type: ignore[return-value]
-
-
-def loss_of(text: str, where: str) -> Loss:
-    """The loss that an option names.
-
-    Raises:
-        ProblemError: there is no such loss.
-    """
-    if text not in ("squares", "huber", "student_t"):
-        raise ProblemError(f"the loss '{text}' does not exist", where=where, remedy="use squares, huber or student_t")
-    return text  # type: ignore[return-value]
+    if text not in choices:
+        raise ProblemError(f"the {noun} '{text}' does not exist", where=f"--{noun}",
+                           remedy=f"use {', '.join(choices[:-1])} or {choices[-1]}")
+    return text
 
 
 def reserves_of(machine: Machine, stated: Sequence[str]) -> Reserves:

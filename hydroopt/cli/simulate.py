@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import AsParquet, MotionFile, Noise, Rate
+from hydroopt.cli.options import AsParquet, MotionFile, Noise, Rate, one_of
 from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError
@@ -67,9 +67,7 @@ def simulate(
     from hydroopt.simulation.reference_motion import reference_motion
 
     described, seed = run.machine, run.seed
-    if truth not in ("nominal", "random"):
-        raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
-                           remedy="use nominal or random")
+    one_of(truth, ("nominal", "random"), "truth")
     if poses is not None:
         if driven or tested or motion is not None or commands is not None or duration is not None or rate is not None:
             raise ProblemError("poses are at rest", where="--postures", remedy="leave out --driven, "

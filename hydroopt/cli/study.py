@@ -12,7 +12,7 @@ import typer
 
 from hydroopt.cli import Group
 from hydroopt.cli.command import Command, refuse
-from hydroopt.cli.options import MotionFile, Processes, Rate, TrainingLogs, refuse_given
+from hydroopt.cli.options import MotionFile, Processes, Rate, TrainingLogs, one_of, refuse_given
 from hydroopt.cli.run import ANSWER, Run, command
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError, StoppedError
@@ -69,7 +69,7 @@ def montecarlo(
                      "leave it out, or give --motion")
 
     def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.cli.identify import method_of
+        from hydroopt.estimation.dynamic.identify import METHODS
         from hydroopt.logs.log_files import read_log
         from hydroopt.simulation.reference_motion import reference_motion
         from hydroopt.study import montecarlo as study
@@ -79,8 +79,8 @@ def montecarlo(
         if motion is not None:
             log = read_log(motion, mapping=run.map_file)
             path, sha256 = reference_motion(described, log), log.sha256
-        return study.montecarlo(described, cells=cells, seed=run.seed, method=method_of(method), motion=path,
-                                motion_sha256=sha256, vary=grid, rate=rate,
+        return study.montecarlo(described, cells=cells, seed=run.seed, method=one_of(method, METHODS, "method"),
+                                motion=path, motion_sha256=sha256, vary=grid, rate=rate,
                                 duration=study.DURATION if duration is None else duration), study.summary
 
     _run(run, prepare, processes, scheduler)
@@ -98,11 +98,12 @@ def bootstrap(
 ) -> None:
     """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
     def prepare(described: Machine) -> tuple[Study, Summary]:
-        from hydroopt.cli.identify import method_of
+        from hydroopt.estimation.dynamic.identify import METHODS
         from hydroopt.study import bootstrap as study
 
         read = run.read(logs)
-        return study.bootstrap(described, read, cells=cells, seed=run.seed, method=method_of(method)), study.summary
+        return study.bootstrap(described, read, cells=cells, seed=run.seed,
+                               method=one_of(method, METHODS, "method")), study.summary
 
     _run(run, prepare, processes, scheduler)
 

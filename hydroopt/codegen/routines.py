@@ -19,7 +19,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.joint_from_length import joint_from_length
-from hydroopt.model.joints_from_several_lengths import back
+from hydroopt.model.joints_from_readings import back
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.load_sharing import lever_arms
 from hydroopt.spatial.inertia import Array

@@ -15,7 +15,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
-from hydroopt.model.joints_from_several_lengths import Slide, Together, slides, together
+from hydroopt.model.joints_from_readings import Slide, Together, slides, together
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
@@ -117,7 +117,7 @@ class Symbols:
         known, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
         self.row = "actuator" if machine.one_each else "balance"
         self.valve = "actuator" if machine.powered == machine.actuators else "valve"
-        efforts = ((each, "N" if isinstance(each, Cylinder) else machine.effort_units(each.joint)[0])
+        efforts = ((each, "N" if isinstance(each, Cylinder) else machine.effort_unit(each.joint))
                    for each in machine.measured_actuators)
         factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in efforts
                    for channel, factor in each.effort_factors.items()]
@@ -173,7 +173,7 @@ class Symbols:
         """Units of the forces that are counted in actuators or balances."""
         if kind == "balance":
             return self.complete.force_units
-        return tuple("N" if isinstance(each, Cylinder) else self.machine.effort_units(each.joint)[0]
+        return tuple("N" if isinstance(each, Cylinder) else self.machine.effort_unit(each.joint)
                      for each in self.machine.actuators)
 
     @property

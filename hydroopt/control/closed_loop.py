@@ -12,6 +12,7 @@ from hydroopt.control.reference import Demands, offset
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.kernels.virtual_machine import OneSample
+from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
@@ -21,6 +22,8 @@ REPORTED = 200
 OVERRUN = 0.2
 """Part of a joint's range by which it may exceed its limits; beyond that the machine hits its stops and the run
 ends."""
+LEAST_STD = 1e-4
+"""Standard deviation [rad or m] of a joint's reading that estimators count with at least."""
 
 
 class Controller(Protocol):
@@ -104,6 +107,12 @@ class Sensors:
         read[self.stepped] = np.round(read[self.stepped] / step) * step
         self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
+
+
+def reading_std(machine: Machine, channel: str, least: float = LEAST_STD) -> float:
+    """Standard deviation of the readings of a channel, at least the given one, which counts where none is stated."""
+    sensor = machine.sensor(channel)
+    return max(sensor.std, least) if sensor else least
 
 
 def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array, theta: Array, *,

@@ -11,11 +11,11 @@ from control import StateSpace
 from scipy.linalg import block_diag
 
 from hydroopt.control.axes import Axes
+from hydroopt.control.closed_loop import reading_std
 from hydroopt.control.linear_plant import Point, Reading, readings, signals
 from hydroopt.control.reference import Demand
 from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
-from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import PRESSURE, Plant
 from hydroopt.spatial.inertia import Array
 
@@ -26,8 +26,8 @@ PROCESS_NOISE = 1e-2
 FORCE_DRIFT = 1e-2
 """Standard deviation of the change per sample of an error of the demanded force, as a part of an actuator's force at
 `PRESSURE`."""
-DEFAULT_NOISE = 1e-4
-"""Standard deviation of the measurement noise where no sensor is stated, as a part of the typical size."""
+LEAST_PRESSURE = 1e3
+"""Standard deviation [Pa] of a pressure's reading that counts at least."""
 NEAR = 0.3
 """Part of the designs' spread of postures over which their gains pass into each other."""
 OTHER_WAY = 0.5
@@ -134,21 +134,13 @@ def reading_noise(plant: Plant) -> Array:
     The supply's pressure is not: a motion draws it down by more than deviations from the motion do, and the inversion
     of the valves answers to it.
     """
-    machine, found = plant.machine, []
-    for joint in machine.joints:
-        found.append(_std(machine, f"{joint}.q", DEFAULT_NOISE))
+    machine = plant.machine
+    found = [reading_std(machine, f"{joint}.q") for joint in machine.joints]
     for each in plant.actuators:
-        found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * DEFAULT_NOISE) for area, name in
+        found.append(float(np.linalg.norm([area * reading_std(machine, name, LEAST_PRESSURE) for area, name in
                                            zip(each.areas, each.chambers, strict=True)]))
                      if each.actuator.measured else np.inf)
     return np.array([*found, np.inf])
-
-
-def _std(machine: Machine, channel: str, without: float) -> float:
-    sensor = machine.sensor(channel)
-    if sensor is None:
-        return without
-    return max(sensor.std, without)
 
 
 class Lqg:

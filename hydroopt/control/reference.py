@@ -168,7 +168,7 @@ class Demands:
         k, i = divmod(int(np.argmax(beyond)), len(a))
         if beyond[k, i] >= 0:
             actuator = self.plant.actuators[i].actuator
-            unit = "N" if isinstance(actuator, Cylinder) else self.plant.machine.effort_units(actuator.joint)[0]
+            unit = "N" if isinstance(actuator, Cylinder) else self.plant.machine.effort_unit(actuator.joint)
             raise ProblemError(
                 f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {unit} of '{actuator.name}', which "
                 f"{pump / 1e5:.0f} bar cannot produce", where="--motion",

@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hydroopt.control.closed_loop import CommandDelay
+from hydroopt.control.closed_loop import CommandDelay, reading_std
 from hydroopt.control.linear_plant import Reading
 from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.model.hydraulics import ActuatorHydraulics, Value, spool_position
@@ -39,8 +39,6 @@ FORGETTING = 30.0
 """Time constant [s] after which a factor may have changed by `PRIOR`."""
 SUBSTEPS = 4
 """Steps of the spool's motion in a sample, by the rule of Runge and Kutta."""
-DEFAULT_STD = 1e-4
-"""Standard deviation [rad or m] of a joint's reading where the machine file states none."""
 
 
 def factors_in(state: ca.SX) -> ca.SX:
@@ -139,10 +137,7 @@ def _runge_kutta(rates: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]], place: ca
 
 def length_std(plant: Plant, lever_arm: ca.SX) -> list[ca.SX]:
     """Standard deviations of the actuators' lengths, at lever arms (a, n), by those of the joints' sensors."""
-    machine, found = plant.machine, []
-    for joint in machine.joints:
-        sensor = machine.sensor(f"{joint}.q")
-        found.append(max(sensor.std, DEFAULT_STD) if sensor else DEFAULT_STD)
+    found = [reading_std(plant.machine, f"{joint}.q") for joint in plant.machine.joints]
     return [ca.norm_2(lever_arm[k, :].T * ca.DM(found)) for k in range(len(plant.actuators))]
 
 

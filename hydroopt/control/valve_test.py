@@ -11,8 +11,8 @@ import numpy as np
 from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.errors import ProblemError
 from hydroopt.limits.limits import MARGIN as STOPPED
+from hydroopt.limits.limits import UseOfLimit
 from hydroopt.limits.reserves import DEFAULT
-from hydroopt.limits.use import UseOfLimit
 from hydroopt.limits.watch import Watch, largest_reach, watch
 from hydroopt.logs.log import Log
 from hydroopt.model.plant import Plant

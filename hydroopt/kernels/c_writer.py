@@ -6,7 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hydroopt.kernels.expression_graph import Program, Ref
 
@@ -44,6 +44,14 @@ def literal(value: float, *, single: bool = False) -> str:
 def statements(program: Program, naming: Naming) -> list[str]:
     """One statement a line: values that serve several others first, then every entry of every output."""
     return _Writer(program, naming).lines
+
+
+def rendered(template: str, **values: Any) -> str:
+    """C by a template in this folder."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where something is compiled
+
+    return Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined, trim_blocks=True,
+                       lstrip_blocks=True).get_template(template).render(**values)
 
 
 class Pieces(NamedTuple):

@@ -14,7 +14,6 @@ from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydroopt.kernels import c_writer, native
 from hydroopt.kernels import expression_graph as straight
@@ -185,10 +184,8 @@ def source(made: Program, *, parameters: int) -> str:
         return c_writer.statements(of, c_writer.Naming(
             source=place, target=lambda _, k: f"{target}[{k}] = {{}};", call=lambda op: f"each_{op}"))
 
-    environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
-                              trim_blocks=True, lstrip_blocks=True)
-    return environment.get_template("integrator.c").render(
-        states=state.size, held=size, parameters=fixed, count=before.outputs[0].rows,
+    return c_writer.rendered(
+        "integrator.c", states=state.size, held=size, parameters=fixed, count=before.outputs[0].rows,
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign", "fabs"}),
         constants=lines(before, "c"), computed=[(name, lines(rest.only([each.name]), "y")) for name, each in zip(
             ("rates", "outputs"), rest.outputs, strict=False)])

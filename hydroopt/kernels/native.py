@@ -230,11 +230,8 @@ def source(made: Program) -> str:
     long = sum(map(len, lines)) > LONG
     results = sum(map(sum, written))
     pieces, passed = c_writer.in_pieces(lines, PIECE if long else len(lines) or 1)
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
-
-    environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
-                              trim_blocks=True, lstrip_blocks=True)
-    return environment.get_template("kernel.c").render(
+    return c_writer.rendered(
+        "kernel.c",
         # code that computes much for each result takes as long wherever these go
         ways=("here",) if long or MUCH * results < len(made.nodes) else ("here", "past"), pieces=pieces, passed=passed,
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}),

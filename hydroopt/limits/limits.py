@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.limits.parts import (
     Part,
@@ -181,6 +182,10 @@ class Limits:
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
+    def names(self, rows: NDArray[np.bool_]) -> list[str]:
+        """Names of some rows (m,), each once."""
+        return list(dict.fromkeys(self.rows[k].name for k in np.flatnonzero(rows)))
+
     def _worst(self, value: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Mean (m,) of expressions that are linear in ψ, and by how much each of them exceeds it at most (m,)."""
         mean, std = self.known.of(value, self._psi)
@@ -232,7 +237,7 @@ class Limits:
         for k, actuator in enumerate(model.machine.actuators):
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
-                    unit = model.machine.effort_units(actuator.joint)[0]
+                    unit = model.machine.effort_unit(actuator.joint)
                     self._add(f"{actuator.name} torque", unit, force[k] + more[k], upper=kept * most, scale=most)
                     self._add(f"{actuator.name} torque", unit, force[k] - more[k], lower=-kept * most, scale=most)
                 continue
@@ -359,8 +364,77 @@ class Limits:
         for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
                                       hanging.tolerance if hanging.joints else (), strict=True):
             name = self.model.machine.joints[joint]
-            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most,
+            self._add(f"{name} out of balance", self.model.machine.effort_unit(name), value, -most, most,
                       passive=True)
+
+
+class UseOfLimit(NamedTuple):
+    """What a motion uses of a limit, over all of its samples [`unit`]; infinite bounds are none.
+
+    `sample` is where it comes nearest to a bound; `margin` and `seen` are those of its row.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    lowest: float
+    highest: float
+    upper: float
+    sample: int = 0
+    margin: float = 0.0
+    seen: bool = False
+
+    @property
+    def stop(self) -> tuple[float, float]:
+        """Values below and above which a motion is stopped, infinite where it is not: beyond the plan by the margin."""
+        return (self.lowest - self.margin if self.margin and np.isfinite(self.lower) else -np.inf,
+                self.highest + self.margin if self.margin and np.isfinite(self.upper) else np.inf)
+
+    @property
+    def room(self) -> float:
+        """What is left; not negative if the limit is kept."""
+        return min(self.lowest - self.lower, self.upper - self.highest)
+
+    @property
+    def part(self) -> float:
+        """What is left of the range, or of the bound if there is but one; not a number if that is zero."""
+        bounds = [bound for bound in (self.lower, self.upper) if np.isfinite(bound)]
+        size = float(np.ptp(bounds)) or abs(bounds[0])
+        return self.room / size if size else float("nan")
+
+
+class Course(NamedTuple):
+    """A limited quantity over time (N,), and what is used of its limit."""
+
+    values: Array
+    use: UseOfLimit
+
+
+def courses(limits: Limits, q: Array, qd: Array, qdd: Array) -> dict[str, Course]:
+    """Each limited quantity over states (N, n); of rows that share a name, at each sample the one with the least room.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> model = Model(load_machine("patu655_lift"))
+    >>> use = courses(Limits(model), np.array([[0.2], [0.3]]), np.zeros((2, 1)), np.zeros((2, 1)))["lift position"].use
+    >>> round(use.lowest, 9), use.highest, use.room > 0
+    (0.2, 0.3, True)
+    """
+    values, found = limits.values(q, qd, qdd) * limits.scale, dict[str, list[int]]()
+    for k, row in enumerate(limits.rows):
+        found.setdefault(row.name, []).append(k)
+    return {name: _course(limits, values, places) for name, places in found.items()}
+
+
+def _course(limits: Limits, values: Array, places: list[int]) -> Course:
+    rows = [limits.rows[k] for k in places]
+    own = np.maximum(values[:, places], [row.floor for row in rows])
+    lower, upper = ([getattr(row, side) for row in rows] for side in ("lower", "upper"))
+    room = np.minimum(own - lower, upper - own)
+    bounded = [[k for k, bound in enumerate(side) if np.isfinite(bound)] or range(len(rows)) for side in (lower, upper)]
+    use = UseOfLimit(rows[0].name, rows[0].unit, max(lower), float(np.min(own[:, bounded[0]])),
+                     float(np.max(own[:, bounded[1]])), min(upper), int(np.argmin(np.min(room, axis=1))),
+                     rows[0].margin, rows[0].seen)
+    return Course(np.take_along_axis(own, np.argmin(room, axis=1)[:, None], axis=1)[:, 0], use)
 
 
 def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:

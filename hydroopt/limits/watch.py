@@ -12,9 +12,8 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, differential_evolution
 
-from hydroopt.limits.limits import MARGIN
+from hydroopt.limits.limits import MARGIN, UseOfLimit
 from hydroopt.limits.reserves import Reserves
-from hydroopt.limits.use import UseOfLimit
 from hydroopt.machine.machine import BASE
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -133,8 +132,7 @@ def watch(model: Model, planned: Reach, uses: Iterable[UseOfLimit], reserves: Re
         attached: length [m] of what hangs at the machine's tip, such as a calibrator.
 
     Example:
-        >>> from hydroopt.limits.limits import Limits
-        >>> from hydroopt.limits.use import courses
+        >>> from hydroopt.limits.limits import Limits, courses
         >>> from hydroopt.machine.machine_file import load_machine
         >>> model, q = Model(load_machine("patu655_lift")), np.array([[0.2], [0.3]])
         >>> uses = [course.use for course in courses(Limits(model), q, 0 * q, 0 * q).values()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -12,10 +13,12 @@ from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 
 
-def with_calibrated(machine: Machine, found: Mapping[str, tuple[float, float]], source: str) -> Machine:
+def with_calibrated(machine: Machine, found: Mapping[str, tuple[float, float]], source: str,
+                    held: Mapping[str, float] | None = None) -> Machine:
     """The machine with numbers by address, each its value and standard deviation in SI; other addresses are left out.
 
-    A vector keeps the largest confidence of its own numbers, and correlations are lost.
+    A vector keeps the largest confidence of its own numbers, and correlations are lost. One whose standard deviation is
+    not known keeps the confidence of the file. `held` are values that were chosen, whose notes stay.
 
     Raises:
         MachineError: no machine can have these numbers.
@@ -25,16 +28,17 @@ def with_calibrated(machine: Machine, found: Mapping[str, tuple[float, float]], 
     >>> machine.link("boom").joint.a, machine.notes["boom.joint.a"].sigma
     (5.2, 0.001)
     """
-    numbers, widest = machine.numbers, dict[str, float]()
-    values, notes = dict[str, float](), dict[str, Note]()
+    numbers, widest, of_paths = machine.numbers, dict[str, float](), dict(machine.notes)
+    values, notes = {name: value for name, value in (held or {}).items() if name in numbers}, dict[str, Note]()
     for name, (value, std) in found.items():
         if name not in numbers:
             continue
-        path = numbers[name].path
-        widest[path] = max(widest.get(path, 0.0), std)
+        path, known = numbers[name].path, {}
+        if math.isfinite(std) and std > 0:
+            widest[path] = max(widest.get(path, 0.0), std)
+            known = {"sigma": widest[path], "relative": False}
         values[name] = value
-        notes[name] = machine.notes.get(path, Note()).model_copy(update={
-            "sigma": widest[path], "relative": False, "source": source})
+        notes[name] = of_paths[path] = of_paths.get(path, Note()).model_copy(update={**known, "source": source})
     return machine.with_values(closed_flat(machine, values), notes)
 
 

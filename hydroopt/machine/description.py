@@ -220,9 +220,9 @@ class MachineDescription(Parts):
         """The joint whose axis orients the cylinder's bodies: the last moving one of the tree between its ends."""
         return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
 
-    def effort_units(self, joint: str) -> tuple[str, str]:
-        """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
-        return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
+    def effort_unit(self, joint: str) -> str:
+        """SI unit of a joint's effort: a torque, or a force where it slides."""
+        return "N" if self.link(joint).joint.type == "prismatic" else "N*m"
 
     def turns(self, joint: str) -> bool:
         """Whether a joint turns, not slides."""
@@ -241,11 +241,6 @@ class MachineDescription(Parts):
         """SI unit of the speed of one joint per speed of another one."""
         own, unit = self.position_unit(joint), self.position_unit(other)
         return "1" if own == unit else f"{own}/{unit}"
-
-    def coupling_units(self, coupling: Coupling) -> dict[str, str]:
-        """SI units of a coupling's ratios by joint, and of its offset."""
-        ratios = {f"ratio.{joint}": self.ratio_unit(coupling.joint, joint) for joint in coupling.ratios}
-        return ratios | {"offset": self.position_unit(coupling.joint)}
 
     def unit(self, node: Noun, key: str, owner: str) -> str | None:
         """SI unit of a key of a part, as its joint turns or slides, its channels are or its command is; None of none.
@@ -276,11 +271,9 @@ class MachineDescription(Parts):
         """Every channel that a log of this machine may have, with its SI unit."""
         units: dict[str, str] = {}
         for joint in self.joints:
-            prismatic = self.link(joint).joint.type == "prismatic"
-            units[f"{joint}.q"] = "m" if prismatic else "rad"
-            units[f"{joint}.qd"] = "m/s" if prismatic else "rad/s"
-            units[f"{joint}.qdd"] = "m/s^2" if prismatic else "rad/s^2"
-            units[f"{joint}.tau"] = self.effort_units(joint)[0]
+            unit = self.position_unit(joint)
+            units |= {f"{joint}.q": unit, f"{joint}.qd": f"{unit}/s", f"{joint}.qdd": f"{unit}/s^2",
+                      f"{joint}.tau": self.effort_unit(joint)}
         for cylinder in self.cylinders:
             units |= {f"{cylinder.name}.length": "m", **dict.fromkeys(cylinder.chambers, "Pa"),
                       f"{cylinder.name}.force": "N"}

@@ -125,13 +125,9 @@ def expand_base(data: dict[str, Any]) -> dict[str, str]:
     return {f"links[base_{key}].joint": f"base_motion.{key}" for key in moving}
 
 
-def _on_chassis(data: Mapping[str, Any]) -> None:
+def _on_chassis(node: Any) -> None:
     """Attach to the chassis what the file attaches to the base."""
-    held = [(link, "parent") for link in data["links"]]
-    held += [(part[end], "link") for kind in ("cylinders", "gas_cylinders", "springs") for part in data.get(kind, [])
-             for end in ("barrel", "rod")]
-    held += [(table, "link") for loop in data.get("loops", []) for table in (loop, loop["to"])]
-    held += [(part, "link") for kind in ("obstacles", "imus", "targets", "instruments") for part in data.get(kind, [])]
-    for table, key in held:
-        if table.get(key) == "base":
-            table[key] = CHASSIS
+    if isinstance(node, dict):
+        node |= {key: CHASSIS for key in ("link", "parent") if node.get(key) == "base"}
+    for inner in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        _on_chassis(inner)

@@ -113,7 +113,8 @@ class Machine(Drawn, MachineDescription):
         """What names a link that does not exist."""
         links = [link.name for link in self.links]
         fixed, own = [BASE, *links], [link.name for link in (self.calibrator.links if self.calibrator else ())]
-        a_link, anywhere = "name a link or the base", f"use one of {', '.join((*fixed, *own))}, or none for the ground"
+        seen, a_link = [BASE, *links, *own], "name a link or the base"  # instruments see the calibrator, too
+        anywhere = f"use one of {', '.join(seen)}, or none for the ground"
         rows: list[tuple[str, str, Collection[str], str, str]] = [
             *((f"link '{each.name}' is attached to", each.parent, fixed, f"name '{BASE}' or another link as its parent",
                "") for each in self.links),
@@ -122,13 +123,12 @@ class Machine(Drawn, MachineDescription):
             *((f"the loop '{each.name}' closes over", each.to.link, fixed, "name a link", each.place)
               for each in self.loops),
             *((f"the {end} of '{each.name}' is pinned to", getattr(each, end).link, fixed, a_link, "")
-              for each in self.pinned for end in ("barrel", "rod")),
-            *((f"the {kind} '{each.name}' is attached to", each.link or BASE, [*fixed, *own], anywhere,
-               f"{kind}s[{each.name}].link")
-              for kind, parts in (("target", self.targets), ("instrument", self.instruments)) for each in parts),
-            *((f"the IMU '{each.name}' is attached to", each.link, fixed, a_link, f"imus[{each.name}].link")
-              for each in self.imus),
-            *((f"the obstacle '{each.name}' is attached to", each.link, fixed, a_link, "") for each in self.obstacles)]
+              for each in self.pinned for end in ("barrel", "rod"))]
+        for key, parts in self.parts.items():
+            rests = key in ("targets", "instruments")
+            rows += [(f"'{each.name}' is attached to", each.link or BASE, seen if rests else fixed,
+                      anywhere if rests else a_link, f"{key}[{each.name}].link")
+                     for each in parts if key != "loops" and hasattr(each, "link")]
         if self.calibrator:
             rows.append(("the calibrator is attached to", self.calibrator.parent, links,
                          "name the link that carries it", "calibrator.parent"))

@@ -1,6 +1,6 @@
 """Inverse kinematics: all postures that bring the tip to a place, each with what keeps the machine from taking it.
 
-Levenberg-Marquardt from many starts over the whole turn of every joint, all of them at once.
+Least squares from many starts over the whole turn of every joint, all of them at once.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
+from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.model.model import Model, model_of
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
@@ -161,32 +162,19 @@ def _starts(model: Model, free: list[int], fixed: Mapping[str, float], count: in
 
 def _search(model: Model, q: Array, free: list[int], target: Array) -> tuple[Array, Array]:
     """Postures (N, n) at which the error is least, from others, and that error (N,)."""
-    error, slope = _error(model, q, free, target)
-    closed = np.isfinite(error).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))  # where all linkages can close
+    def rows(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        tried = q[which]
+        tried[:, free] = own
+        return _error(model, tried, free, target)
+
+    found = nearest(rows, q[:, free], steps=STEPS, close=CLOSE / 100, still=STILL)
+    closed = np.isfinite(found.size)  # where all linkages can close
     if not closed.any():
         raise ProblemError("a linkage of the machine cannot close where its joints are held",
                            where="inverse kinematics", remedy="hold them within their limits")
-    q, error, slope = q[closed].copy(), error[closed], slope[closed]
-    damping = np.full(len(q), 1e-3)
-    size, left = np.linalg.norm(error, axis=1), np.arange(len(q))
-    for _ in range(STEPS):
-        gram = slope[left].transpose(0, 2, 1) @ slope[left]
-        scale = np.einsum("nkk->n", gram)[:, None, None] * np.eye(len(free))
-        pull = -slope[left].transpose(0, 2, 1) @ error[left, :, None]
-        step = np.linalg.solve(gram + (damping[left, None, None] + 1e-15) * scale, pull)[:, :, 0]
-        tried = q[left]
-        tried[:, free] += step
-        new, new_slope = _error(model, tried, free, target)
-        new_size = np.linalg.norm(new, axis=1)
-        better = (new_size < size[left]) & np.isfinite(new_slope).all(axis=(1, 2))
-        there = left[better]
-        q[there], error[there], slope[there], size[there] = (
-            tried[better], new[better], new_slope[better], new_size[better])
-        damping[left] = np.clip(np.where(better, damping[left] / 10, damping[left] * 5), 0.0, 1e3)
-        left = left[(size[left] >= CLOSE / 100) & (np.max(np.abs(step), axis=1) > STILL)]
-        if not left.size:
-            break
-    return q, size
+    q = q.copy()
+    q[:, free] = found.x
+    return q[closed], found.size[closed]
 
 
 def _error(model: Model, q: Array, free: list[int], target: Array) -> tuple[Array, Array]:

@@ -1,27 +1,39 @@
 """Joints of q from readings that depend on them: lengths of cylinders, angles of joints that follow them; by Newton.
 
 No closed form gives such a joint: a tilt cylinder spans the boom, all six cylinders of a platform move all of its
-joints, a sensor sits on the rocker of a linkage. Every sample is solved by itself: from mid-range, where the readings
-are known, they are led to the measured ones in small steps, so that the joints stay on the branch that mid-range is
-on.
+joints, a sensor sits on the rocker of a linkage. Every sample of a log is solved by itself: from mid-range, where the
+readings are known, they are led to the measured ones in small steps, so that the joints stay on the branch that
+mid-range is on. For generated code a fixed number of Newton's steps starts at a polynomial of the lengths, fitted over
+the ranges of the joints; a slide with a cylinder of its own follows from the length in closed form.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations_with_replacement
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.general_loops import Start
+from hydroopt.machine.geometry import Geometry
+from hydroopt.model.joint_from_length import joint_from_length
+from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.model.model import Model
+from hydroopt.model.regressor import Dynamics
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 ALONG, CORRECTIONS = 16, 2
 """Steps from the readings at mid-range to the measured ones, and Newton's steps in each of them."""
 LAST = 4
 """Newton's steps at the measured readings."""
-STILL = 1e-10
-"""Last step [rad or m] from which on Newton's method counts as converged."""
+STILL, SINGULAR = 1e-10, 1e7
+"""Last step [rad or m] from which on Newton's method counts as converged, and the condition number of the readings'
+derivatives from which on they do not tell the joints."""
 
 
 def joints_from_readings(model: Model, q: Array, solved: Sequence[int], channels: Sequence[str],
@@ -47,25 +59,20 @@ def joints_from_readings(model: Model, q: Array, solved: Sequence[int], channels
     machine, own = model.machine, list(solved)
     q = q.copy()
     q[:, own] = [sum(machine.link(machine.joints[k]).joint.range) / 2 for k in own]
-    begin, step = readings(model, q, channels)[0], np.full(len(q), np.inf)
+    begin = readings(model, q, channels)[0]
     turning = [machine.channel_units[channel] == "rad" for channel in channels]
     whole = np.where(turning, 2 * np.pi * np.round((measured - begin) / (2 * np.pi)), 0.0)
-    away = measured - whole - begin
+    away, moved = measured - whole - begin, np.zeros(len(q))
     for share, count in [*((k / ALONG, CORRECTIONS) for k in range(1, ALONG + 1)), (1.0, LAST)]:
-        for _ in range(count):
-            found, arms = readings(model, q, channels)
-            arms = arms[:, :, own]
-            usable: NDArray[np.bool_] = np.logical_and(np.isfinite(arms).all(axis=(1, 2)),
-                                                       np.isfinite(found).all(axis=1))
-            left = np.where(usable[:, None], begin + share * away - found, np.nan)
-            gram = np.where(usable[:, None, None], arms.transpose(0, 2, 1) @ arms, np.eye(len(own)))
-            singular = np.linalg.cond(gram) > 1e14
-            gram[singular] = np.eye(len(own))
-            change = np.linalg.solve(gram, (arms.transpose(0, 2, 1) @ left[:, :, None]))[:, :, 0]
-            change[singular] = np.nan
-            q[:, own] += change
-            step = np.max(np.abs(change), axis=1)
-    q[~(step < STILL)] = np.nan
+        def rows(own_q: Array, which: NDArray[np.intp], share: float = share) -> tuple[Array, Array]:
+            tried = q[which]
+            tried[:, own] = own_q
+            found, arms = readings(model, tried, channels)
+            return found - (begin + share * away)[which], arms[:, :, own]
+
+        q[:, own], _, moved = nearest(rows, q[:, own], steps=count, still=STILL, damped=False)
+    arms = readings(model, q, channels)[1][:, :, own]
+    q[~(moved < STILL) | ~(np.linalg.cond(arms) < SINGULAR)] = np.nan
     return q
 
 
@@ -81,3 +88,174 @@ def readings(model: Model, q: Array, channels: Sequence[str]) -> tuple[Array, Ar
         found |= {f"{joint}.q": (position[:, k, 0], by_q[:, k]) for k, joint in enumerate(machine.dependent_joints)}
     return (np.column_stack([found[channel][0] for channel in channels]),
             np.stack([found[channel][1] for channel in channels], axis=1))
+
+
+SAMPLES = {1: 96, 2: 256}
+DEGREES = {1: 8, 2: 5, 3: 4}
+"""Samples, and the highest degree of the polynomial, by how many lengths and joints it depends on; 512 and 3 for
+more."""
+FEW, MOST = 3, 6
+"""Newton's steps that are enough, and the greatest number of them if no degree makes do with those."""
+CALIBRATED = 0.01
+"""How far [m] calibrated geometry may move lengths from those of the machine file."""
+NEARLY, ROUNDING = 1e-8, 1e-12
+"""Errors [rad or m] of positions that are allowed before the last step and after it."""
+
+
+class Slide(NamedTuple):
+    """A joint that slides, and the place of the one cylinder that moves it; `sign` is that of its lever arm."""
+
+    joint: int
+    cylinder: int
+    sign: int
+
+    def solved(self, geometry: Geometry, length: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Position [m] at a length [m], and the square (q + b/2)² in l² = q² + b·q + c: negative where there is none.
+        """
+        machine, x = geometry.machine, ca.SX.sym("x")
+        at, cylinder = {machine.joints[self.joint]: x}, machine.cylinders[self.cylinder]
+        square = ca.sumsqr(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
+        half, rest = (ca.substitute(each, x, 0) for each in (ca.jacobian(square, x) / 2, square))
+        under = length**2 + half**2 - rest
+        return self.sign * ca.sqrt(under) - half, under
+
+
+class Together(NamedTuple):
+    """Joints that lengths of cylinders give together.
+
+    Attributes:
+        joints: their places in q.
+        cylinders: places of the cylinders that move them, as many or more.
+        given: places of other joints that these cylinders move, too.
+        start: a polynomial of the cylinders' lengths and of the joints given.
+        steps: the number of Newton's steps from it.
+    """
+
+    joints: tuple[int, ...]
+    cylinders: tuple[int, ...]
+    given: tuple[int, ...]
+    start: Start
+    steps: int
+
+    def solved(self, dynamics: Dynamics, q: ca.SX, length: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Positions of the joints, the last step, and all lever arms there (c, n).
+
+        Args:
+            dynamics: the machine's expressions.
+            q: (n,) with the joints that are given.
+            length: (c,) [m] of these cylinders.
+        """
+        own, at = list(self.joints), ca.densify(q)
+        known, arms = _lengths(dynamics, self.cylinders)
+        terms = self.start.terms(ca.vertsplit(ca.vertcat(length, *(q[k] for k in self.given))))
+        at[own] = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
+                               for row in self.start.coefficients))
+        step = ca.SX(0)
+        for _ in range(self.steps):
+            found, slope = ca.substitute([known, arms], [dynamics.coordinates.q], [at])
+            step = back(slope[:, own], length - found)
+            at[own] += step
+        return at[own], step, ca.substitute(arms, dynamics.coordinates.q, at)
+
+
+def back(arms: ca.SX, lengths: ca.SX) -> ca.SX:
+    """Joints that move as lengths do, by lever arms (c, n) of full rank: with least squares where lengths are more."""
+    arms = ca.densify(arms)
+    if arms.size1() == arms.size2():
+        return ca.solve(arms, lengths)
+    return ca.solve(arms.T @ arms, arms.T @ lengths)
+
+
+def _lengths(dynamics: Dynamics, cylinders: tuple[int, ...]) -> tuple[ca.SX, ca.SX]:
+    names = [dynamics.machine.cylinders[k].name for k in cylinders]
+    length = ca.vertcat(*(dynamics.cylinders[name].length for name in names))
+    return length, ca.jacobian(length, dynamics.coordinates.q)
+
+
+def slides(model: Model) -> tuple[Slide, ...]:
+    """The joints that slide and whose cylinder moves nothing else."""
+    machine, found = model.machine, []
+    for k, cylinder in enumerate(machine.cylinders):
+        moved = machine.moved_by(cylinder)
+        between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+        if moved == between and len(moved) == 1 and machine.drivers[moved[0]] == (cylinder,) and machine.link(
+                moved[0]).joint.type == "prismatic":
+            j, middle = machine.joints.index(moved[0]), _middle(model)
+            arm = model.transmission(middle)[machine.actuators.index(cylinder), j]
+            found.append(Slide(j, k, int(np.sign(float(arm)))))
+    return tuple(found)
+
+
+def together(model: Model) -> tuple[Together, ...]:
+    """All joints that several lengths give, or one that is no side of a triangle, in groups that share cylinders.
+
+    Left out are groups with fewer cylinders than joints, and those whose lengths do not tell the joints apart.
+    """
+    machine = model.machine
+    alone = [machine.moved_by(each) for each in machine.cylinders]
+    known = {found.joint for each in machine.cylinders if (found := joint_from_length(model.geometry, each))
+             and alone.count((found.joint,)) == 1} | {machine.joints[one.joint] for one in slides(model)}
+    groups: list[tuple[set[str], list[Cylinder]]] = []
+    for cylinder in machine.cylinders:
+        joints, with_it = set(machine.moved_by(cylinder)) - known, [cylinder]
+        if not joints:
+            continue
+        for group in [each for each in groups if each[0] & joints]:
+            groups.remove(group)
+            joints, with_it = joints | group[0], [*group[1], *with_it]
+        groups.append((joints, with_it))
+    made = (_fitted(model, [joint for joint in machine.joints if joint in joints], cylinders)
+            for joints, cylinders in groups if len(cylinders) >= len(joints))
+    return tuple(each for each in made if each is not None)
+
+
+def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Together | None:
+    """A start, and as many steps as bring all samples of the joints' ranges to rounding; None if none do."""
+    machine = model.machine
+    moved = {joint for each in cylinders for joint in machine.moved_by(each)}
+    given = [joint for joint in machine.joints if joint in moved and joint not in joints]
+    own, others, read = (tuple(names.index(each) for each in chosen) for names, chosen in (
+        (machine.joints, joints), (machine.joints, given), ([each.name for each in machine.cylinders],
+                                                            [each.name for each in cylinders])))
+    n = len(read) + len(others)
+    count, free = SAMPLES.get(n, 512), [*own, *others]
+    drawn = np.sin(np.pi / 2 * (2 * halton(len(free), count).T - 1))
+    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(free), indexing="ij")).reshape(len(free), -1)[:, :count]
+    ranges = np.array([machine.link(machine.joints[k]).joint.range for k in free])
+    q = np.tile(_middle(model)[:, None], (1, corners.shape[1] + count))
+    q[free] = ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * np.hstack([corners, drawn])
+    function = ca.Function("lengths", [model.dynamics.coordinates.q],
+                           [ca.densify(each) for each in _lengths(model.dynamics, read)])
+
+    def lengths(at: Array) -> tuple[Array, Array]:
+        found, arms = (np.array(each) for each in function.map(at.shape[1])(at))
+        return found, arms.reshape(len(read), at.shape[1], -1).transpose(1, 0, 2)[:, :, list(own)]
+
+    measured = lengths(q)[0]
+    inputs = np.vstack([measured, q[list(others)]])
+    signs = 1 - 2 * (np.arange(measured.size).reshape(measured.shape) % 3 % 2)
+    moved_inputs = np.vstack([measured + CALIBRATED * signs, q[list(others)]])
+    best: Together | None = None
+    for degree in range(1, DEGREES.get(n, 3) + 1):
+        powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(n), k))
+        shape = Start(tuple(inputs.mean(axis=1).tolist()), tuple((np.ptp(inputs, axis=1) / 2).tolist()), powers,
+                      np.zeros((len(own), len(powers))))
+        fitted = np.linalg.lstsq(np.array(shape.terms(inputs))[:, ::2].T, q[list(own), ::2].T, rcond=1e-9)[0].T
+        at, error = q.copy(), np.inf
+        at[list(own)] = fitted @ np.array(shape.terms(moved_inputs))
+        for steps in range(1, MOST + 1 if best is None else best.steps):
+            found, arms = lengths(at)
+            if not np.all(np.isfinite(found)) or not np.all(np.isfinite(arms)):
+                break
+            at[list(own)] += np.einsum("nji,in->jn", np.linalg.pinv(arms), measured - found)
+            before, error = error, float(np.max(np.abs(at[list(own)] - q[list(own)])))
+            if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(q)))):
+                best = Together(own, read, others, shape._replace(coefficients=fitted), steps)
+                break
+        if best is not None and best.steps <= FEW:
+            break
+    return best
+
+
+def _middle(model: Model) -> Array:
+    return np.array([sum(model.machine.link(joint).joint.range) / 2 for joint in model.machine.joints])

@@ -59,7 +59,7 @@ class ForceTerm:
     Attributes:
         actuator: whose force.
         coefficients: by name.
-        expression: called once with the motion (`hydroopt.model.own_forces.MotionSymbols`) and the coefficients by
+        expression: called once with the motion (`hydroopt.model.regressor.MotionSymbols`) and the coefficients by
             name, both as CasADi symbols in SI; returns the force [N or N·m].
 
     Raises:

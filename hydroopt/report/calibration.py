@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from html import escape
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
-from hydroopt.errors import visible
 from hydroopt.report.charts import Chart, Curves, Field, Line, TimeChart
 from hydroopt.report.drawing import LETTER
 from hydroopt.report.numbers import NONE, plain, unit_text
-from hydroopt.report.page import document
+from hydroopt.report.page import document, fragment
 from hydroopt.report.panels import NUMBERS, with_unit
 from hydroopt.report.samples import Samples, Span
 from hydroopt.report.scene import SceneView, base_point
@@ -219,33 +217,19 @@ def correlation_map(names: Sequence[str], correlation: Array) -> Markup:
     >>> "Correlations of 2 parameters. Most correlated: boom.a and ball.x by −.90." in shown
     True
     """
-    size, shown = len(names), [escape(visible(name)) for name in names]
-    cell = max(LEAST_CELL, min(CELL, SIDE / size))
+    cell = max(LEAST_CELL, min(CELL, SIDE / len(names)))
     margin = LETTER * max(map(len, names)) + 12
-    words = []
-    for j, i in combinations(range(size), 2):
-        r, x, y = float(correlation[i, j]), margin + j * cell, i * cell
-        if abs(r) > FAINT:
-            words.append(f'<rect class="{"more" if r > 0 else "less"}" x="{x:.1f}" y="{y:.1f}" width="{cell - 1:.1f}" '
-                         f'height="{cell - 1:.1f}" fill-opacity="{min(abs(r), 1.0):.2f}">'
-                         f"<title>{shown[i]}, {shown[j]}: {_written(r)}</title></rect>")
-        if abs(r) > WRITTEN and cell > LEAST_WRITTEN:
-            words.append(f'<text x="{x + cell / 2:.1f}" y="{y + cell / 2 + 3:.1f}" text-anchor="middle">'
-                         f"{_written(r)}</text>")
-    for k, name in enumerate(shown):
-        at = (k + 0.5) * cell + 4
-        words.append(f'<text x="{margin - 6:.0f}" y="{at:.1f}" text-anchor="end">{name}</text>')
-        words.append(f'<text transform="translate({margin + at:.1f} {size * cell + 6:.0f}) rotate(-90)" '
-                     f'text-anchor="end">{name}</text>')
-    side = margin + size * cell + LETTER
-    return Markup(f'<svg class="correlations" viewBox="0 0 {side:.0f} {side:.0f}" width="{side:.0f}" role="img" '
-                  f'aria-label="{escape(_description(names, correlation))}">{"".join(words)}</svg>')
+    cells = [{"r": r, "x": margin + j * cell, "y": i * cell, "pair": f"{names[i]}, {names[j]}", "shown": _written(r),
+              "written": abs(r) > WRITTEN and cell > LEAST_WRITTEN}
+             for j, i in combinations(range(len(names)), 2) if abs(r := float(correlation[i, j])) > FAINT]
+    return fragment("correlations.svg", names=names, cells=cells, cell=cell, margin=margin,
+                    side=margin + len(names) * cell + LETTER, said=_description(names, correlation))
 
 
 def _description(names: Sequence[str], correlation: Array) -> str:
     """The map in words: the pairs that are separated worst."""
     pairs = sorted(combinations(range(len(names)), 2), key=lambda pair: -abs(correlation[pair]))
-    worst = [f"{visible(names[i])} and {visible(names[j])} by {_written(float(correlation[i, j]))}"
+    worst = [f"{names[i]} and {names[j]} by {_written(float(correlation[i, j]))}"
              for i, j in pairs[:NAMED]]
     return f"Correlations of {len(names)} parameters. Most correlated: {listed(worst)}."
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from markupsafe import Markup
 
 from hydroopt.report import pose_plan
 from hydroopt.report.numbers import NONE, plain
+from hydroopt.report.page import fragment
 
 if TYPE_CHECKING:
     from hydroopt.excitation.selection.calibrator_design import CalibratorDesign
@@ -20,7 +20,6 @@ ACROSS = 3
 """Parts beside each other."""
 EDGE = 58.0
 """Room for dimensions around a part [px]."""
-LIGHT, STROKE = "#888", "currentColor"
 
 
 def render(design: CalibratorDesign) -> str:
@@ -40,7 +39,7 @@ def render(design: CalibratorDesign) -> str:
 
 
 def _mm(length: float) -> str:
-    return f"{1e3 * length:.0f}".replace("-", "−")
+    return f"{round(1e3 * length)}".replace("-", "−")
 
 
 def _own(name: str, std: float) -> tuple[str, str]:
@@ -63,53 +62,15 @@ def sheet(parts: list[dict[str, Any]]) -> Markup:
     """Parts with name, θ [rad], d [m], a [m], α [rad] and accuracy [rad] as SVG, see `drawing`."""
     scale = min((PANEL - 2 * EDGE) / max(1e-3, *(part["a"] for part in parts)),
                 (TALL - 2 * EDGE) / max(1e-3, *(abs(part["d"]) for part in parts)))
-    rows = -(-len(parts) // ACROSS)
-    width, height = PANEL * min(ACROSS, len(parts)), TALL * rows
-    said = "; ".join(f"{part['name']}: offset {_mm(part['d'])} mm, length {_mm(part['a'])} mm, twist "
-                     f"{plain(np.degrees(part['alpha']), 3)} degrees" for part in parts)
-    shapes = "".join(_part(part, scale, (k % ACROSS) * PANEL, (k // ACROSS) * TALL, last=k == len(parts) - 1)
-                     for k, part in enumerate(parts))
-    return Markup(
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="parts" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
-        f'aria-label="{escape(f"Parts of the calibrator. {said}.")}" font-family="sans-serif" font-size="11" '
-        f'fill="{STROKE}" stroke="none" style="width: 100%; min-width: {min(width, 600):.0f}px; '
-        f'max-width: {width:.0f}px">{shapes}</svg>')
-
-
-def _part(part: dict[str, Any], scale: float, x: float, y: float, *, last: bool) -> str:
-    """One part: from its axis along the offset, then along its length, to the next joint."""
-    up, along = scale * part["d"], scale * part["a"]
-    left, foot = x + EDGE, y + TALL / 2 + up / 2 + 6
-    top, right = foot - up, left + along
-    upright = abs(np.sin(part["alpha"])) < 0.5
-    end = (f'<circle cx="{right:.1f}" cy="{top:.1f}" r="6" fill="none" stroke="{STROKE}" stroke-width="2"/>'
-           if last or not upright else f'<circle cx="{right:.1f}" cy="{top:.1f}" r="5" style="fill: {STROKE}"/>')
-    sensor = "" if part["accuracy"] is None else f", sensor ±{plain(np.degrees(part['accuracy']), 3)}°"
-    said = "ball" if last else f"twist {plain(np.degrees(part['alpha']), 3)}°"
-    text = [
-        f'<text x="{x + 6:.1f}" y="{y + 16:.1f}" font-weight="bold">{escape(str(part["name"]))}</text>',
-        f'<text x="{x + 6:.1f}" y="{y + 30:.1f}">zero {plain(np.degrees(part["theta"]), 4)}°{sensor}</text>',
-        f'<line x1="{left:.1f}" x2="{left:.1f}" y1="{min(foot, top) - 14:.1f}" y2="{max(foot, top) + 14:.1f}" '
-        f'stroke="{LIGHT}" stroke-dasharray="8 3 2 3"/>',
-        f'<polyline points="{left:.1f},{foot:.1f} {left:.1f},{top:.1f} {right:.1f},{top:.1f}" fill="none" '
-        f'stroke="{STROKE}" stroke-width="4" stroke-linejoin="round"/>',
-        f'<rect x="{left - 6:.1f}" y="{foot - 6:.1f}" width="12" height="12"/>', end,
-        f'<text x="{right:.1f}" y="{top + (22 if up >= 0 else -14):.1f}" text-anchor="middle">'
-        f"{said}</text>"]
-    if part["a"] > 5e-4:
-        at = top - 14 if up >= 0 else top + 22
-        text.append(_dimension(left, at, right, at, f"a {_mm(part['a'])}"))
-    if abs(part["d"]) > 5e-4:
-        text.append(_dimension(left - 22, foot, left - 22, top, f"d {_mm(part['d'])}"))
-    return "".join(text)
-
-
-def _dimension(x1: float, y1: float, x2: float, y2: float, text: str) -> str:
-    """A line between two ends with a text on it."""
-    level = abs(y2 - y1) < 1e-6
-    ticks = "".join(f'<line x1="{x - 4 * (not level):.1f}" x2="{x + 4 * (not level):.1f}" y1="{y - 4 * level:.1f}" '
-                    f'y2="{y + 4 * level:.1f}" stroke="{LIGHT}"/>' for x, y in ((x1, y1), (x2, y2)))
-    middle = (x1 + x2) / 2, (y1 + y2) / 2
-    turn = "" if level else f' transform="rotate(-90 {middle[0]:.1f} {middle[1]:.1f})"'
-    return (f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{LIGHT}"/>{ticks}'
-            f'<text x="{middle[0]:.1f}" y="{middle[1] - 4:.1f}" text-anchor="middle"{turn}>{escape(text)}</text>')
+    shown = []
+    for k, part in enumerate(parts):  # from its axis along the offset, then along its length, to the next joint
+        x, y, up = (k % ACROSS) * PANEL, (k // ACROSS) * TALL, scale * part["d"]
+        left, foot = x + EDGE, y + TALL / 2 + up / 2 + 6
+        shown.append({
+            "name": part["name"], "x": x, "y": y, "left": left, "foot": foot, "top": foot - up,
+            "right": left + scale * part["a"], "upright": abs(np.sin(part["alpha"])) < 0.5, "a": _mm(part["a"]),
+            "d": _mm(part["d"]), "alpha": plain(np.degrees(part["alpha"]), 3),
+            "theta": plain(np.degrees(part["theta"]), 4),
+            "accuracy": "" if part["accuracy"] is None else plain(np.degrees(part["accuracy"]), 3)})
+    return fragment("calibrator.svg", parts=shown, width=PANEL * min(ACROSS, len(parts)),
+                    height=TALL * -(-len(parts) // ACROSS))

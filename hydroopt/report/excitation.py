@@ -16,8 +16,8 @@ from hydroopt.report.scene import SceneView
 if TYPE_CHECKING:
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
+    from hydroopt.limits.limits import UseOfLimit
     from hydroopt.limits.reserves import Reserves
-    from hydroopt.limits.use import UseOfLimit
     from hydroopt.simulation.simulate import Trajectory
     from hydroopt.spatial.inertia import Array
 

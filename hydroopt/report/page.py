@@ -72,8 +72,14 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
     environment.filters["prose"] = prose
     environment.filters["words"] = words
+    environment.filters["px"] = lambda value: f"{value:.1f}".removesuffix(".0")
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
     return environment
+
+
+def fragment(template: str, **content: Any) -> Markup:
+    """A part of a page, such as a drawing."""
+    return Markup(_environment().get_template(template).render(**content))
 
 
 def document(template: str, *, answer: Answer | None = None, samples: Samples | None = None,

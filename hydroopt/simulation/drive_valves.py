@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.integrator import IntegrationError
-from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.simulation.simulate import Trajectory
+from hydroopt.simulation.simulate import Trajectory, recorded
 from hydroopt.spatial.inertia import Array
 
 ACCURACY = 1e-9
@@ -101,12 +100,7 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
                            remedy="give commands that keep the machine within its range") from None
     states, late = np.vstack([start, after])[samples], late[samples]
     _refuse_far(plant, t, states, name)
-    channels = _channels(plant, states, late, given, psi, theta)
-    rng, machine = np.random.default_rng(seed), plant.machine
-    channels = {channel: lagged(t, values, machine.lag(channel).value) for channel, values in channels.items()}
-    for channel in channels if noise else ():
-        if sensor := machine.sensor(channel):
-            channels[channel] = sensor.read(channels[channel], rng)
+    channels = recorded(plant.machine, t, _channels(plant, states, late, given, psi, theta), noise=noise, seed=seed)
     channels |= {channel: commands[:, k] for k, channel in enumerate(plant.inputs)}
     units = plant.machine.channel_units
     return Log(name, t, channels, units={channel: units[channel] for channel in channels})

@@ -12,6 +12,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.spatial.inertia import Array
 
 CLOSED = 1e-11
@@ -30,8 +31,8 @@ Held = Fixture | Array
 
 
 def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Held,
-          weight: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
-    """Close chains by turning some joints, by as little as possible (Newton with the pseudo-inverse).
+          weight: Array | float = 1.0) -> tuple[Array, NDArray[np.bool_]]:
+    """Close chains by turning some joints, by as little as possible.
 
     Args:
         model: geometry.
@@ -54,26 +55,23 @@ def touch_datum(model: KinematicModel, geometry: Array, q: Array, free: Sequence
     rows = [model.channels.index(channel) for each in model.measurements if each.name == touch
             for channel in each.channels]
     place = np.zeros((len(q), model.place_size))
-    return _vanishing(model, model.observed_by_angles, rows, geometry, q, free, place, None)
+    return _vanishing(model, model.observed_by_angles, rows, geometry, q, free, place)
 
 
 def _vanishing(model: KinematicModel, function: Any, rows: list[int], geometry: Array, q: Array,
-               free: Sequence[int], place: Array, weight: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+               free: Sequence[int], place: Array, ease: Array | float = 1.0) -> tuple[Array, NDArray[np.bool_]]:
     """Joint vectors at which some rows of a function and its Jacobian by angles vanish, and (N,) whether they do."""
-    q, turning = np.array(q, dtype=float), np.array(free, dtype=int)
-    ease = np.ones(turning.size) if weight is None else weight
-    closed = np.zeros(len(q), dtype=bool)
-    for _ in range(STEPS):
-        left = np.flatnonzero(~closed)
-        if not left.size:
-            break
-        gap, by_q = model.over(function, geometry, q[left], place[left])
-        gap, by_q = gap[:, rows], by_q[:, rows]
-        closed[left] = np.max(np.abs(gap[:, :, 0]), axis=1) < CLOSED
-        turn = -ease * (np.linalg.pinv(by_q[:, :, turning] * ease, rcond=1e-6 / np.max(ease)) @ gap)[:, :, 0]
-        turn *= np.minimum(1, STEP / np.maximum(np.max(np.abs(turn), axis=1, keepdims=True), 1e-300))
-        q[np.ix_(left, turning)] += np.where(closed[left, None], 0.0, turn)
-    return q, closed
+    found, turning = np.array(q, dtype=float), np.array(free, dtype=int)
+
+    def gaps(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        tried = found[which]
+        tried[:, turning] = own
+        gap, by_q = model.over(function, geometry, tried, place[which])
+        return gap[:, rows, 0], by_q[:, rows][:, :, turning]
+
+    found[:, turning], size, _ = nearest(gaps, found[:, turning], steps=STEPS, longest=STEP, close=CLOSED, ease=ease,
+                                         damped=False)
+    return found, size <= CLOSED
 
 
 def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -234,7 +235,6 @@ def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None 
         raise ProblemError(f"this is a {type(motion).__name__}, not a motion", where="simulation",
                            remedy="give a Trajectory, such as random_trajectory(model, duration=30, rate=50, seed=1)")
     psi = model.parameters.nominal if psi is None else psi
-    rng = np.random.default_rng(seed)
     machine = model.machine
     q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), psi, motion.wrench)
     motion = replace(motion, q=q, qd=qd, qdd=qdd)
@@ -258,13 +258,29 @@ def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None 
         joints = motion.calibrator.attached.joints
         channels |= {f"{joint}.q": angle for joint, angle in zip(joints, motion.calibrator.q.T, strict=True)
                      if machine.sensor(f"{joint}.q")}
-    channels = {channel: lagged(motion.t, values, machine.lag(channel).value) for channel, values in channels.items()}
-    if noise:
-        for channel in channels:
-            if sensor := machine.sensor(channel):
-                channels[channel] = sensor.read(channels[channel], rng)
-        _err(machine, channels, rng)
+    channels = recorded(machine, motion.t, channels, noise=noise, seed=seed)
     return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
+
+
+def recorded(machine: Machine, t: Array, true: Mapping[str, Array], *, noise: bool, seed: int) -> dict[str, Array]:
+    """What sensors record of channels with true values (N,) at the times t (N,): they lag, and err if there is `noise`.
+
+    IMUs have a constant bias in each channel, and end where their range ends.
+    """
+    channels = {channel: lagged(t, values, machine.lag(channel).value) for channel, values in true.items()}
+    if not noise:
+        return channels
+    rng = np.random.default_rng(seed)
+    for channel, values in channels.items():
+        if sensor := machine.sensor(channel):
+            channels[channel] = sensor.read(values, rng)
+    for imu in machine.imus:
+        for channel in imu.channels:
+            part = imu.part(channel)
+            assert part is not None
+            limit = np.inf if part.range is None else part.range
+            channels[channel] = np.clip(channels[channel] + rng.normal(0.0, part.bias), -limit, limit)
+    return channels
 
 
 def _imus(model: Model, motion: Trajectory) -> dict[str, Array]:
@@ -276,16 +292,6 @@ def _imus(model: Model, motion: Trajectory) -> dict[str, Array]:
     every = {f"{imu.name}.{axis}": readings[:, row, k] for k, imu in enumerate(machine.imus)
              for row, axis in enumerate((*GYROSCOPE, *ACCELEROMETER, *INCLINATION))}
     return {channel: values for channel, values in every.items() if machine.sensor(channel)}
-
-
-def _err(machine: Machine, channels: dict[str, Array], rng: np.random.Generator) -> None:
-    """Add a constant bias to each channel of an IMU, and end it where its range ends."""
-    for imu in machine.imus:
-        for channel in imu.channels:
-            part = imu.part(channel)
-            assert part is not None
-            limit = np.inf if part.range is None else part.range
-            channels[channel] = np.clip(channels[channel] + rng.normal(0.0, part.bias), -limit, limit)
 
 
 def _positions(model: Model, q: Array) -> dict[str, Array]:

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
@@ -136,8 +135,6 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     Raises:
         HydrooptError: the logs give no estimate whose residuals could be resampled.
     """
-    if cells < 1:
-        raise ProblemError(f"the number of cells is {cells}", where="--cells", remedy="give at least 1")
     problem = identification_problem(machine, logs)
     found = identify(problem, method, seed=seed)
     held = problem.experiments

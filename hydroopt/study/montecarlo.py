@@ -123,8 +123,6 @@ def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = 
         if not values or len(set(values)) < len(values) or not all(0 < value < np.inf for value in values):
             raise ProblemError(f"{', '.join(f'{value:g}' for value in values) or 'nothing'} cannot be the values of "
                                f"{name}", where="--vary", remedy="give different positive numbers")
-    if cells < 1:
-        raise ProblemError(f"the number of cells is {cells}", where="--cells", remedy="give at least 1")
     given = {} if motion is not None else {"duration": duration, "rate": rate or simulate.sampling_rate(machine)}
     points = [given | dict(zip(grid, point, strict=True)) for point in product(*grid.values())]
     for point in points:

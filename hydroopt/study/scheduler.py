@@ -25,10 +25,11 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.interrupt import deferred
 from hydroopt.packages import versions
 from hydroopt.progress import Progress
+from hydroopt.study.processes import PAUSE
 from hydroopt.study.study import Compute, Outcome, Study, Values, outcome
 
-PATIENCE, JOINING, PAUSE = 5.0, 60.0, 0.2
-"""Time limits [s] for a scheduler to answer and for a worker to join, and the interval between status checks."""
+PATIENCE, JOINING = 5.0, 60.0
+"""Time limits [s] for a scheduler to answer and for a worker to join."""
 CONFIG = {"distributed.comm.timeouts.connect": f"{PATIENCE:g}s", "distributed.scheduler.worker-saturation": 1.0,
           "distributed.scheduler.allowed-failures": 1}
 """Workers do not queue cells, so that only the running cell is suspected when a worker dies; suspects are retried."""

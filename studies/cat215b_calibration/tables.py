@@ -6,9 +6,9 @@ import numpy as np
 
 from hydroopt import SolverError, load_machine, path_difference, solve
 from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.results.tables import number
 from studies import show
 from studies.cat215b_calibration.chain import Machine, misjudged, paths, with_drift

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import SolverError, calibration_problem
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import loop_fit
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.machine.links import Note
 from hydroopt.plots.figures import BLUE, GREY, INK, ORANGE
 from hydroopt.results.tables import number

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
-from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
+from hydroopt.estimation.kinematic.initial_guesses import follow_unsensed, guess_unsensed
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.calibration_chain import Calibrator, Stage
 from hydroopt.machine.geometry import Geometry

@@ -27,8 +27,7 @@ from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_inversion import Valves
-from hydroopt.model.contact import Wall
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import Plant, Wall
 from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array

@@ -25,7 +25,7 @@ def run() -> dict | None:
     problem = hydraulic_problem(forces.machine, [half])
     estimate = solve(problem)
     (whole,) = free_runs(problem, log, estimate.adjustment.theta)
-    fit, found = free_run_fit(problem, [whole]), estimate.posterior
+    fit, found = free_run_fit(problem, [whole]), estimate.adjustment
     results = {"length_largest_mm": round(1e3 * fit["lift_cylinder.length"].largest, 1),
                "p_head_of_range": round(fit["lift_cylinder.p_head"].of_range, 4),
                "p_rod_of_range": round(fit["lift_cylinder.p_rod"].of_range, 4),

@@ -15,9 +15,8 @@ from hydroopt.errors import HydrooptError
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.calibration import optimum
-from hydroopt.excitation.selection.additions import Addition, equipped
 from hydroopt.excitation.selection.goals import LoadGoal
-from hydroopt.excitation.selection.measurements import Measurement
+from hydroopt.excitation.selection.measurements import Addition, Measurement, equipped
 from hydroopt.excitation.selection.pose_problem import PoseLabels, pose_problem
 from hydroopt.excitation.selection.readings import PostureReadings
 from hydroopt.excitation.selection.what_next import plan_next

@@ -17,10 +17,9 @@ from hydroopt.control.setting import TRUE, ModelVariant
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.model.contact import Wall
 from hydroopt.model.inverse_kinematics import inverse_kinematics
 from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import Plant, Wall
 from hydroopt.simulation.simulate import Trajectory
 
 MODEL = Model(load_machine("cat215b"))

@@ -7,10 +7,9 @@ import pytest
 
 from hydroopt import Model, load_machine, random_trajectory
 from hydroopt.errors import HydrooptError
-from hydroopt.limits.limits import Limits
+from hydroopt.limits.limits import Limits, courses
 from hydroopt.limits.reserves import Reserves
 from hydroopt.limits.uncertain import UncertainParameters
-from hydroopt.limits.use import courses
 from hydroopt.simulation.simulate import forces
 
 CAT = Model(load_machine("cat215b"))

@@ -10,9 +10,8 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.model.contact import Wall
 from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import Plant, Wall
 
 WALL = Wall((1.0, 2.0, -1.0), (0.0, 0.6, 1.6), stiffness=1e6, damping=0.4, friction=0.3)
 NORMAL = np.array([0.0, 0.6, 1.6]) / np.hypot(0.6, 1.6)

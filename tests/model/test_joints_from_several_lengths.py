@@ -9,7 +9,7 @@ import pytest
 from fixtures.drives import BENT, crane, crossing
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.model.joints_from_several_lengths import slides, together
+from hydroopt.model.joints_from_readings import slides, together
 from hydroopt.model.model import Model
 from oracles.subjects import machine as machine_of
 from oracles.subjects import states

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from hydroopt import load_machine
-from hydroopt.model.contact import Wall
 from hydroopt.model.hydraulics import AMBIENT, VACUUM
 from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import Plant, Wall
 from hydroopt.spatial.inertia import Array
 
 PERIOD = 0.02

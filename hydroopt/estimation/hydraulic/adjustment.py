@@ -18,8 +18,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
 from scipy.optimize import minimize_scalar
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
-from hydroopt.estimation.hydraulic.volume_balance import Misclosure, VolumeBalance
+from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
+from hydroopt.estimation.hydraulic.volume_balance import QUANTITIES, Misclosure, Readings, VolumeBalance
 from hydroopt.estimation.inference.gauss_newton import Step, bounded_step, minimise
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -87,14 +87,10 @@ class Linear:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
-    """The solution.
+class Adjustment(BoundedGaussian):
+    """The most probable numbers, of which `data` is the information with the geometry being unknown but for its prior.
 
     Attributes:
-        theta: (p,) identified numbers.
-        data: (p, p) information of the readings on them, the geometry being unknown but for its prior.
-        gradient: (p,) of half the squared errors.
-        residual_scale: root of the squared errors over the degrees of freedom; 1 where the stated σ are right.
         density: (a,) of the random flow of each actuator [m³/√s].
         misfit: (a,) RMS of each actuator's residuals, in units of the sensors' errors alone; NaN without readings.
         correction: for each stretch (N, 5) corrections of its readings.
@@ -102,10 +98,6 @@ class Adjustment:
             identified, and the standard deviation [s], all identified numbers being free; NaN where nothing tells.
     """
 
-    theta: Array
-    data: Array
-    gradient: Array
-    residual_scale: float
     density: Array
     misfit: Array
     correction: tuple[Array, ...]
@@ -125,8 +117,6 @@ class _State:
     residuals: Array
     slope: Array
 
-    unsettled = 0.0
-
     @property
     def cost(self) -> float:
         return float(self.residuals @ self.residuals)
@@ -137,6 +127,9 @@ class _State:
 
     def after(self, change: Array) -> _State:
         return self.solver.at(self.x + change, [each.correction for each in self.linear])
+
+    def corrected(self) -> _State:
+        return self
 
 
 class _Solver:
@@ -309,7 +302,7 @@ def _answer(solver: _Solver, here: _State) -> Adjustment:
     count = np.bincount(actuators, [each.readings.balances for each in solver.stretches], len(solver.density))
     total = np.bincount(actuators, solver.squares(here.linear), len(solver.density))
     return Adjustment(
-        solver.theta(here.x), triangle.T @ triangle / np.outer(scale, scale),
+        solver.parameters, solver.theta(here.x), triangle.T @ triangle / np.outer(scale, scale),
         (here.slope.T @ here.residuals)[:p] / scale,
         float(np.sqrt(readings @ readings / freedom)) if freedom > 0 else float("nan"), solver.density,
         np.sqrt(total / np.where(count > 0, count, np.nan)), tuple(each.correction for each in here.linear),

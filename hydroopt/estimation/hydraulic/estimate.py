@@ -13,7 +13,7 @@ from hydroopt.estimation.hydraulic.adjustment import Adjustment, adjust
 from hydroopt.estimation.hydraulic.bounded_gaussian import SHARE, BoundedGaussian, WeakDirection
 from hydroopt.estimation.hydraulic.free_run import Run, free_runs
 from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem
-from hydroopt.machine.links import Note
+from hydroopt.machine.calibrated_numbers import with_calibrated
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.workspace import Sweep, workspace_sweeps
@@ -163,7 +163,7 @@ class HydraulicEstimate(Answer):
         return (*lost, *unexplained_actuators(self.actuators, self.adjustment.misfit),
                 *late_commands(self.actuators, later), *exact_delays(self.actuators, later),
                 *self.problem.assumed_supplies,
-                *parameter_diagnostics(self.posterior))
+                *parameter_diagnostics(self.adjustment))
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -171,17 +171,11 @@ class HydraulicEstimate(Answer):
         return tuple(each.actuator.name for each in self.problem.plant.actuators)
 
     @cached_property
-    def posterior(self) -> BoundedGaussian:
-        """The identified numbers with their covariance and intervals."""
-        found = self.adjustment
-        return BoundedGaussian(self.problem.parameters, found.theta, found.data, found.gradient, found.residual_scale)
-
-    @cached_property
     def parameters(self) -> ParameterTable:
         """The parameters by name, with priors, values, intervals and identifiability."""
-        found, stated = self.posterior, self.problem.parameters
-        variance = np.diag(stated.information)
-        prior_std = np.where(variance > 0, 1 / np.sqrt(np.where(variance > 0, variance, 1.0)), np.nan)
+        found, stated = self.adjustment, self.problem.parameters
+        with np.errstate(divide="ignore"):
+            prior_std = 1 / np.sqrt(np.diag(stated.information))
         return ParameterTable([
             row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
                 prior_std=float(prior_std[k]), value=float(found.theta[k]), std=float(found.std[k]),
@@ -217,7 +211,7 @@ class HydraulicEstimate(Answer):
 
     def details(self) -> Mapping[str, Any]:
         """Conditioning, and for each actuator the misfit and the random flow that the model leaves."""
-        found, parameters = self.posterior, self.problem.parameters
+        found, parameters = self.adjustment, self.problem.parameters
         sizes = np.linalg.eigvalsh(found.data * np.outer(parameters.scale, parameters.scale))
         return {"base_parameters": [],
                 "conditioning": {
@@ -271,7 +265,10 @@ class HydraulicEstimate(Answer):
     @property
     def machine(self) -> Machine:
         """The machine with the identified values and their confidences; a prior for other logs."""
-        return _calibrated(self)
+        found, logs = self.adjustment, ", ".join(log.path or log.name for log in self.problem.logs)
+        values = zip(found.theta.tolist(), found.std.tolist(), strict=True)
+        return with_calibrated(self.problem.plant.machine, dict(zip(found.parameters.names, values, strict=True)),
+                               f"identified from {logs}")
 
     @cached_property
     def sweeps(self) -> tuple[Sweep, ...]:
@@ -305,15 +302,3 @@ def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fi
             continue
         table[channel] = Fit.of(error[present, k], read[present, k], units[channel], free_run=True)
     return table
-
-
-def _calibrated(estimate: HydraulicEstimate) -> Machine:
-    problem, machine, found = estimate.problem, estimate.problem.plant.machine, estimate.posterior
-    source = f"identified from {', '.join(log.path or log.name for log in problem.logs)}"
-    values, notes = {}, {}
-    for name, value, std in zip(problem.parameters.names, found.theta.tolist(), found.std.tolist(), strict=True):
-        values[name] = value
-        sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
-        known = machine.notes.get(machine.numbers[name].path, Note())
-        notes[name] = known.model_copy(update=sigma | {"source": source})
-    return machine.with_values(values, notes)

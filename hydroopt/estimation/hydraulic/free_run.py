@@ -10,7 +10,7 @@ import numpy as np
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem, Stretch
-from hydroopt.estimation.hydraulic.readings import MotionReadings
+from hydroopt.estimation.hydraulic.volume_balance import MotionReadings
 from hydroopt.estimation.inference.gauss_newton import DenseRows, minimise
 from hydroopt.kernels.integrator import IntegrationError, Integrator
 from hydroopt.logs.log import Log

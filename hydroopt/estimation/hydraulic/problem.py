@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
 from hydroopt.estimation.hydraulic.adjustment import Balanced, nonlinear_program
-from hydroopt.estimation.hydraulic.readings import MotionReadings, Readings, pieces
-from hydroopt.estimation.hydraulic.volume_balance import VolumeBalance
+from hydroopt.estimation.hydraulic.volume_balance import MotionReadings, Readings, VolumeBalance, pieces
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log

@@ -18,15 +18,16 @@ from scipy.linalg import qr, svd
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.spatial.inertia import Array
 
-SETTLED = 1e-5
-"""Change of eliminated unknowns, in standard deviations, below which they count as found."""
 ROUNDING = 1e-12
 """Part of the squares that is rounding only."""
-LEAST, LARGEST = 1e-3, 1e6
+LEAST, LARGEST = 1e-3, 1e3
 """First damping after a step that hardly lowered the squares, see `bounded_step`, and the one from which on rounding,
 or a corner of the model, keeps any step from it."""
 POOR, GOOD = 0.25, 0.75
 """Parts of a promised fall, below and above which the next step is damped more and less (Marquardt 1963)."""
+LIGHTER, HEAVIER = 5.0, 2.0
+"""Factors of a damping that falls, and that rises: along curved valleys small rises let steps be long (Transtrum and
+Sethna 2012)."""
 
 
 class Step(NamedTuple):
@@ -48,15 +49,14 @@ class Place(Protocol):
     def cost(self) -> float:
         """Sum of squared residuals, or of what a robust loss makes of them."""
 
-    @property
-    def unsettled(self) -> float:
-        """How far eliminated unknowns moved in the last step, in standard deviations; 0 without."""
-
     def step(self, damping: float) -> Step:
         """The step to where the linearised squares are least within the bounds."""
 
     def after(self, change: Array) -> Self:
-        """The place that a change (n,) of the unknowns leads to; eliminated ones follow."""
+        """The place that a change (n,) of the unknowns leads to; eliminated ones follow, nearly."""
+
+    def corrected(self) -> Self:
+        """The same place with the eliminated unknowns exactly as they follow; itself where they do."""
 
 
 P = TypeVar("P", bound=Place)
@@ -92,14 +92,20 @@ def minimise(start: P, *, tolerance: float, relative: float = 0.0, steps: int = 
     here, damping, accepted = start, 0.0, 0
     for _ in range(steps):
         step = here.step(damping)
-        if step.length**2 <= max(tolerance**2, relative * here.cost) and here.unsettled <= SETTLED:
-            return Minimum(here, accepted, step, converged=True, stuck=False)
+        if step.length**2 <= max(tolerance**2, relative * here.cost):
+            if (exact := here.corrected()) is here:
+                return Minimum(here, accepted, step, converged=True, stuck=False)
+            here = exact
+            continue
         there = here.after(step.change)
         fall, rounding = here.cost - there.cost, ROUNDING * here.cost + tolerance**2
+        if not fall >= -rounding and (exact := here.corrected()) is not here:
+            here = exact  # its squares were not those of its unknowns
+            continue
         if not fall >= POOR * step.promised - rounding:
-            damping = max(10 * damping, LEAST)
+            damping = HEAVIER * damping or LEAST
         elif fall > GOOD * step.promised:
-            damping = damping / 10 if damping > ROUNDING else 0.0
+            damping = damping / LIGHTER if damping > ROUNDING else 0.0
         if fall >= -rounding:
             here, accepted = there, accepted + 1
         if damping > LARGEST:
@@ -162,8 +168,6 @@ class DenseRows:
     size: Array | None = None
     truncation: float = ROUNDING_TOLERANCE
 
-    unsettled = 0.0
-
     @cached_property
     def linearised(self) -> tuple[Array, Array]:
         """Residuals (m,) and their Jacobian (m, n)."""
@@ -183,3 +187,7 @@ class DenseRows:
     def after(self, change: Array) -> Self:
         """At other unknowns."""
         return replace(self, x=self.x + change)
+
+    def corrected(self) -> Self:
+        """Itself, since nothing is eliminated."""
+        return self

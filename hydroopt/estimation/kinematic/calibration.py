@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import MachineError, ProblemError, SolverError
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic import diagnostics
 from hydroopt.estimation.kinematic.accuracy import (
@@ -19,6 +19,7 @@ from hydroopt.estimation.kinematic.accuracy import (
     workspace_accuracy,
 )
 from hydroopt.estimation.kinematic.compliance_choice import ComplianceChoice
+from hydroopt.estimation.kinematic.initial_guesses import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.optimum import Optimum, optimum, random_start, solvable, with_farthest_pose
 from hydroopt.estimation.kinematic.pose_checks import (
@@ -30,22 +31,14 @@ from hydroopt.estimation.kinematic.residuals import (
     ChainSides,
     PoseResiduals,
     chain_sides,
+    groups,
     loop_fit,
     predicted,
     residual_sizes,
     table_of,
-    units_of,
 )
-from hydroopt.estimation.kinematic.solution import (
-    JOINT,
-    KinematicSolution,
-    MachineText,
-    calibrated_machine,
-    machine_text,
-    uniqueness,
-)
+from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution, uniqueness
 from hydroopt.estimation.kinematic.suspects import find_suspects
-from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
@@ -103,14 +96,9 @@ class Calibration(KinematicSolution, Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the calibration, the most severe first."""
-        problem, prediction = self.problem, {}
-        if problem.validation is not None:
-            prediction = loop_fit(*predicted(problem, problem.start, problem.validation))
-        before = len(problem.poses if self.all_poses is None else self.all_poses.problem.poses)
-        return tuple(diagnostics.diagnose(
-            self, nominal_prediction=prediction, tested=self.tested,
-            impossible=self._written.reason, narrowed=self._written.narrowed, widened=self._written.widened,
-            left_out=self.left_out, poses_left_out=before - len(problem.poses)))
+        before = len((self.all_poses or self).problem.poses)
+        return tuple(diagnostics.diagnose(self, tested=self.tested, left_out=self.left_out,
+                                          poses_left_out=before - len(self.problem.poses)))
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -171,14 +159,14 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
                 "the tip, a calibrator or a tracker, in the machine file.")))
-        if self._written.text and self.status is Status.OK:
+        if self.written.text and self.status is Status.OK:
             steps.append(NextStep(Action.USE, *self.using_machine))
         return tuple(steps)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The tables of poses."""
-        return inputs_of(self.problem if self.all_poses is None else self.all_poses.problem)
+        return inputs_of((self.all_poses or self).problem)
 
     @cached_property
     def machine(self) -> Machine:
@@ -187,11 +175,10 @@ class Calibration(KinematicSolution, Answer):
         Raises:
             MachineError: no machine can have this geometry.
         """
-        return calibrated_machine(self).machine
-
-    @cached_property
-    def _written(self) -> MachineText:
-        return machine_text(self)
+        if self.written.machine is None:
+            raise MachineError(self.written.reason.rstrip("."), where=f"machine '{self.machine_name}'",
+                               remedy="correct limits in the machine file, or fix parameters")
+        return self.written.machine
 
     @property
     def left_out(self) -> tuple[Suspect, ...]:
@@ -203,14 +190,14 @@ class Calibration(KinematicSolution, Answer):
         """Of the training poses, then of those held out."""
         problem = self.problem
         nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
-        after = residual_sizes(problem, self.theta, self.q)
-        found = [PoseResiduals("train", problem.poses, residual_sizes(problem, problem.start, nominal), after,
-                               units_of(problem, after))]
+        units = {name: unit for name, (_, unit) in groups(problem).items()}
+        roles = {"train": (problem.poses, (problem, problem.start, nominal), (problem, self.theta, self.q))}
         if problem.validation is not None:
-            before, after = (residual_sizes(*predicted(problem, theta, problem.validation))
-                             for theta in (problem.start, self.theta))
-            found.append(PoseResiduals("validation", problem.validation, before, after, units_of(problem, after)))
-        return tuple(found)
+            before, after = (predicted(problem, theta, problem.validation) for theta in (problem.start, self.theta))
+            roles["validation"] = problem.validation, before, after
+        found = [(role, poses, residual_sizes(*before), residual_sizes(*after))
+                 for role, (poses, before, after) in roles.items()]
+        return tuple(PoseResiduals(*each, {name: units[name] for name in each[3]}) for each in found)
 
     @cached_property
     def sides(self) -> tuple[ChainSides, ...]:
@@ -296,7 +283,7 @@ class Calibration(KinematicSolution, Answer):
             roles = {"train": self.problem.poses, "validation": self.problem.validation}
             files["sides.csv"] = csv_text(table_of(self.sides, {role: poses.row for role, poses in roles.items()
                                                                 if poses is not None}))
-        text = self._written.text
+        text = self.written.text
         return files | ({f"{self.machine_name}.toml": text} if text else {})
 
     def _residual_rows(self) -> list[dict[str, Any]]:

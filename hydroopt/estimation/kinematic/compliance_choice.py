@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.optimum import optimum, solvable
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import JOINT
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.calibrated_numbers import standing_for
 from hydroopt.machine.links import Link, Note

@@ -2,102 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
+from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.stated_numbers import contradicted
 from hydroopt.estimation.kinematic.accuracy import PredictionTest
-from hydroopt.estimation.kinematic.observability import Linearised
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
+from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.pose_faults import Suspect, SuspectKind
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.residuals import loop_fit, predicted
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution, WidenedLimits
 from hydroopt.machine.joint_limits import NarrowedLimits
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.diagnostic import Diagnostic, Meaning, listed
 from hydroopt.results.fit import Fit
-from hydroopt.spatial.inertia import Array
 
-CONTRADICTS = 4.0
-"""Difference, in standard deviations, from which on a stated distance is contradicted."""
 OFF = 5.0
 """Distance from the most probable value, in standard deviations, from which on an estimate is off."""
-
-
-class WrongDistance(NamedTuple):
-    """A distance between fixtures [m] as stated and as the poses alone show it, with standard deviations."""
-
-    name: str
-    between: tuple[str, str]
-    stated: float
-    stated_std: float
-    measured: float
-    measured_std: float
-
-
-def wrong_distances(problem: CalibrationProblem, linearised: Linearised, noise_scale: float) -> Iterator[WrongDistance]:
-    """Distances that the poses contradict; one that several stages show counts by its mean.
-
-    With the leverages H of its rows, the poses without them show the distance by ``(I − H)⁻¹·r`` standard deviations
-    beside the stated one, with the covariance ``H·(I − H)⁻¹``.
-    """
-    free, known = np.flatnonzero(problem.free), problem.distances
-    rows = np.vstack([linearised.jacobian[:, :, free].reshape(-1, len(free)), linearised.shared[:, free]])
-    if not len(known.length):
-        return
-    left, s, _ = np.linalg.svd(rows * problem.parameters.scale[free], full_matrices=False)
-    left = left[:, s > 1e-9 * s[0]]
-    start, names = rows.shape[0] - len(linearised.shared), problem.parameters.names
-    ends = [tuple(names[side[0]].partition(".")[0] for side in pair) for pair in known.ends]
-    scale = max(1.0, noise_scale) if np.isfinite(noise_scale) else 1.0
-    for name in dict.fromkeys(known.names):
-        own = [k for k, each in enumerate(known.names) if each == name]
-        part = left[[start + k for k in own]]
-        leverage = part @ part.T
-        values, vectors = np.linalg.eigh(np.eye(len(own)) - leverage)
-        if values[0] < 1e-6:  # the poses say nothing without it
-            continue
-        inverse = vectors / values @ vectors.T
-        sigma, mean = float(known.sigma[own[0]]), np.full(len(own), 1 / len(own))
-        difference = sigma * float(mean @ inverse @ linearised.shared_residual[own])
-        std = sigma * scale * float(np.sqrt(max(mean @ (leverage @ inverse) @ mean, 0.0)))
-        if abs(difference) > CONTRADICTS * np.hypot(sigma, std):
-            stated = float(known.length[own[0]])
-            one, other = ends[own[0]]
-            yield WrongDistance(name, (one, other), stated, sigma, stated + difference, std)
-
-
-def off_optimum(problem: CalibrationProblem, linearised: Linearised, noise_scale: float) -> dict[str, float]:
-    """Parameters that are off the most probable values, and by how many of their standard deviations.
-
-    Args:
-        problem: also with the drift of locked joints, which simpler methods take as zero.
-        linearised: rows about a simpler estimate.
-        noise_scale: of its residuals.
-    """
-    free = problem.free
-    free[problem.parameters.places(ParameterKind.DRIFT)] = True
-    some = np.flatnonzero(free)
-    rows = np.vstack([linearised.jacobian[:, :, some].reshape(-1, len(some)), linearised.shared[:, some]])
-    residual = np.concatenate([linearised.residual.ravel(), linearised.shared_residual])
-    size = np.linalg.norm(rows, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh((rows / size).T @ (rows / size))
-    good = significant(values, INFORMATION_TOLERANCE)
-    half: Array = vectors[:, good] / np.sqrt(values[good])
-    step = -half @ (half.T @ ((rows / size).T @ residual))
-    freedom = max(len(residual) - len(problem.parameters.names) - int(good.sum()), 1)
-    left = residual + rows / size @ step
-    scale = max(1.0, min(noise_scale, float(np.sqrt(left @ left / freedom))))
-    away = np.abs(step) / np.maximum(np.linalg.norm(half, axis=1) * scale, 1e-300)
-    lost = np.linalg.norm(vectors[:, ~good], axis=1) > 1e-5
-    found = {problem.parameters.names[k]: float(distance) for k, distance, unknown in zip(some, away, lost, strict=True)
-             if not unknown and distance > OFF and problem.free[k]}
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
-
-
 LITTLE = 0.8
 """Part of the prior's standard deviation above which the data carry hardly any information."""
 FAR = 3.0
@@ -113,18 +39,13 @@ FEW = 3
 """Single poses that are named one by one."""
 
 
-def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], tested: PredictionTest | None,
-             impossible: str, narrowed: Sequence[NarrowedLimits], widened: Sequence[WidenedLimits],
-             left_out: Sequence[Suspect], poses_left_out: int) -> Iterator[Diagnostic]:
+def diagnose(solution: KinematicSolution, *, tested: PredictionTest | None, left_out: Sequence[Suspect],
+             poses_left_out: int) -> Iterator[Diagnostic]:
     """All diagnostics, the most severe first.
 
     Args:
         solution: the calibration.
-        nominal_prediction: fit of the held-out poses by the nominal geometry, by channel.
         tested: the held-out poses against their intervals; None where there are none.
-        impossible: why no machine can have the geometry; "" where one can.
-        narrowed: joint limits of the calibrated machine that gave way to strokes.
-        widened: joint limits of the calibrated machine that gave way to poses.
         left_out: suspects whose poses were left out, and how many poses these are.
     """
     if left_out:
@@ -136,7 +57,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     yield from _poses(solution)
     yield from _suspects(solution)
     yield from _stated(solution)
-    yield from _prediction(solution, nominal_prediction, tested)
+    yield from _prediction(solution, tested)
     yield from _noise(solution)
     yield from _identifiability(solution)
     yield from _priors(solution)
@@ -146,7 +67,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
                  if bound)
     if held:
         yield Diagnostic.of("held at a bound", held, {}, "Held at a bound: {subject}.")
-    for limits in narrowed:
+    for limits in solution.written.narrowed:
         k = solution.problem.model.joints.index(limits.joint)
         angles, least = solution.q[~solution.suspicious, k], READING * float(solution.problem.angle_sigma[k]) + ROUNDED
         beyond = 0 if limits.others else int(
@@ -161,7 +82,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
         ) if beyond else Diagnostic.of("joint limits narrowed", (limits.joint,), evidence, (
             "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after}{others}. The "
             "calibrated machine has these limits instead of {before}."), meaning=Meaning.PROPERTY)
-    for wider in widened:
+    for wider in solution.written.widened:
         sigma = float(solution.problem.angle_sigma[solution.problem.model.joints.index(wider.joint)])
         by = max(wider.before[0] - wider.after[0], wider.after[1] - wider.before[1])
         if by <= READING * sigma + ROUNDED:  # errors of readings at the end of the range
@@ -169,10 +90,10 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
         yield Diagnostic.of("joint limits widened", (wider.joint,), _limits(solution, wider), (
             "Poses of {subject} lie beyond its limits, {before}. The calibrated machine has {after}."),
             "Check the sensor's zero.", Meaning.PROPERTY)
-    if impossible:
-        yield Diagnostic.of("no calibrated machine", (), {
-            "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"},
-            "No calibrated machine is written: {reason}.", "{remedy}.", Meaning.CONTRADICTION)
+    if solution.written.reason:
+        yield Diagnostic.of("no calibrated machine", (), {"reason": solution.written.reason.rstrip(".")}, (
+            "No calibrated machine is written: {reason}."), "Correct limits in the machine file, or fix parameters.",
+            Meaning.CONTRADICTION)
 
 
 def _limits(solution: KinematicSolution, limits: NarrowedLimits | WidenedLimits) -> dict[str, Any]:
@@ -214,29 +135,36 @@ def _poses(solution: KinematicSolution) -> Iterator[Diagnostic]:
         yield Diagnostic.of("no intervals link by link", (), {}, (
             "The link-by-link method gives no intervals."),
             "Use the method 'joint' for them.")
-        off = off_optimum(problem, solution.linearised, solution.noise_scale)
+        off = _off_optimum(solution)
         if off:
             yield Diagnostic.of("link by link off the optimum", tuple(off), {
-                "distances": listed( [f"{name} (by {distance:.1f} σ)" for name, distance in off.items()], 5),
+                "distances": listed([f"{name} (by {distance:.1f} σ)" for name, distance in off.items()], 5),
                 "sigmas": list(off.values())},
                 "Link by link, these lie far from the values that all poses together make most probable: {distances}.",
                 "Use the method 'joint', or find what contradicts the poses.", Meaning.CONTRADICTION)
 
 
+def _off_optimum(solution: KinematicSolution) -> dict[str, float]:
+    """Parameters of a simpler method that are off the most probable values, and by how many of their standard
+    deviations; the drift of locked joints is then free, too."""
+    every = solution.problem
+    drifts = {every.parameters.names[k] for k in every.parameters.places(ParameterKind.DRIFT)}
+    problem = replace(every, fixed={name: value for name, value in every.fixed.items() if name not in drifts})
+    with suppress(SolverError):
+        theta, q = maximum_likelihood(problem, solution.theta, solution.q)
+        rows = linearise(problem, theta, q)
+        known = observability(problem, rows)
+        freedom = max(int(rows.rank.sum()) + len(rows.shared_residual) - known.rank, 1)
+        scale = np.sqrt(max(1.0, (np.sum(rows.pose_square) + np.sum(rows.shared_residual**2)) / freedom))
+        away = np.abs(solution.theta - theta)[problem.free] / (known.std * scale)
+        found = {name: float(distance) for name, distance in zip(known.names, away, strict=True)
+                 if distance > OFF and name not in drifts}
+        return dict(sorted(found.items(), key=lambda item: -item[1]))
+    return {}
+
+
 def _stated(solution: KinematicSolution) -> Iterator[Diagnostic]:
-    """Distances and stages that disagree with what the machine file states."""
-    if solution.algorithm == JOINT:
-        named = [suspect.name for suspect in solution.suspects if suspect.kind is SuspectKind.DISTANCE]
-        for found in wrong_distances(solution.problem, solution.linearised, solution.noise_scale):
-            if found.name in named:
-                continue
-            yield Diagnostic.of("distance contradicts the machine file", found.between, {
-                "one": found.between[0], "other": found.between[1], "measured_mm": 1e3 * found.measured,
-                "measured_std_mm": 1e3 * found.measured_std, "stated_mm": 1e3 * found.stated,
-                "stated_std_mm": 1e3 * found.stated_std},
-                "The poses place {one} and {other} {measured_mm:.2f} ± {measured_std_mm:.2f} mm apart (one standard "
-                "deviation), where the machine file states {stated_mm:.2f} ± {stated_std_mm:.2f} mm.",
-                "Measure the distance again, or state its sigma.", Meaning.CONTRADICTION)
+    """Stages whose errors disagree with what the machine file states."""
     stage, square = solution.problem.poses.stage, solution.linearised.pose_square
     scales = {label: float(np.sqrt(square[there].sum() / max(solution.linearised.rank[there].sum(), 1)))
               for label in dict.fromkeys(map(str, stage)) if np.any(there := stage == label)}
@@ -249,8 +177,10 @@ def _stated(solution: KinematicSolution) -> Iterator[Diagnostic]:
             "Errors are larger than stated in {scales}; in the other stages they are {others:.1f} times those stated.")
 
 
-def _prediction(solution: KinematicSolution, nominal: Mapping[str, Fit],
-                tested: PredictionTest | None) -> Iterator[Diagnostic]:
+def _prediction(solution: KinematicSolution, tested: PredictionTest | None) -> Iterator[Diagnostic]:
+    problem, nominal = solution.problem, dict[str, Fit]()
+    if problem.validation is not None:
+        nominal = loop_fit(*predicted(problem, problem.start, problem.validation))
     if tested is not None and tested.ratio > HELD_OUT and tested.chance < CHANCE:
         yield Diagnostic.of("held-out poses beyond their intervals", (), {
             "ratio": tested.ratio, "share": tested.coverage},

@@ -4,38 +4,37 @@ Unknowns are the parameters and every pose's own angles: those sensed, as errors
 without a sensor. Loops close as constraints. With Gaussian errors this is maximum likelihood (maximum a posteriori with
 priors). Around parameters θ and joint vectors q the whitened rows of a pose are w + J·δθ: errors of its sensed angles
 count in their covariance, and what unsensed angles change is projected out (`linearise`). A step's equations have the
-size of θ, whatever the number of poses, and the angles follow from the step. Poses whose steps do not converge are left
-to IPOPT, with all unknowns side by side.
+size of θ, whatever the number of poses, and the angles follow from the step.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.inference import ipopt
-from hydroopt.estimation.inference.gauss_newton import ROUNDING, Step, bounded_step, minimise
+from hydroopt.errors import SolverError
+from hydroopt.estimation.inference.gauss_newton import Step, bounded_step, minimise
+from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE
 from hydroopt.estimation.inference.program import NonlinearProgram
-from hydroopt.estimation.kinematic.observability import Linearised, linearise
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
+from hydroopt.estimation.kinematic.observability import ROUNDING, Linearised, linearise
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, robust_loss
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.spatial.inertia import Array
 
-CONVERGED = 1e-6
-"""Length of a step, in standard deviations of what the rows determine, that ends the search."""
+CONVERGED, NEAR, STEPS = 1e-6, 1e-3, 500
+"""Length of a step, in standard deviations of what the rows determine, that is the last one, and of one that may stay
+where rounding keeps steps from it; greatest number of steps: along a combination that poses hardly tell they are short.
+"""
 ANGLE_STEP = 0.01
 """Scale [rad, m] of the angles that move unsensed."""
-CORRECTIONS = 3
-"""Steps of the angles alone, at the parameters of a trial, before it counts as refused."""
-DETERMINED = 1e-6
-"""Singular value of the rows with columns of unit length, relative to the largest, below which a direction stays."""
-STEEPEST = 1e4
-"""Curvature of the cost, by a parameter in its unit, that IPOPT's units are chosen not to exceed."""
+CORRECTIONS, SETTLED = 10, 1e-5
+"""Steps of the angles alone at the parameters of a place, until they move by less than this part of their standard
+deviations, or of `ANGLE_STEP`."""
 
 
 def maximum_likelihood(problem: PoseEquations, start: Array, angles: Array) -> tuple[Array, Array]:
@@ -48,12 +47,17 @@ def maximum_likelihood(problem: PoseEquations, start: Array, angles: Array) -> t
 
     Raises:
         ProblemError: the errors of the loops are not stated.
-        SolverError: IPOPT failed as well, or its answer failed our check.
+        SolverError: the steps do not converge.
     """
     inside = np.where(problem.free, np.clip(start, problem.parameters.lower, problem.parameters.upper), problem.start)
     own = np.where(problem.layout.moving, angles, problem.layout.reading)
-    found = minimise(_Place.at(problem, inside, own), tolerance=CONVERGED)
-    return (found.place.theta, found.place.q) if found.converged else by_ipopt(problem, start, angles)
+    found = minimise(_Place.at(problem, inside, own), tolerance=CONVERGED, steps=STEPS)
+    if not found.converged and found.last.length > NEAR:
+        raise SolverError("the steps towards the most probable geometry do not converge",
+                          where=f"calibration of {problem.model.machine.name}",
+                          remedy="correct readings and numbers of the machine file that are far off")
+    last = found.place.after(found.last.change)
+    return last.theta, last.q
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ class _Place:
     theta: Array
     q: Array
     rows: Linearised
-    unsettled: float = np.inf
+    exact: bool = False
 
     @classmethod
     def at(cls, problem: PoseEquations, theta: Array, own: Array) -> _Place:
@@ -91,133 +95,67 @@ class _Place:
         stacked = np.vstack([
             np.concatenate([rows.jacobian, rows.residual[:, :, None]], axis=2).reshape(-1, len(free) + 1)
             * np.repeat(root, rows.residual.shape[1], axis=0), np.column_stack([rows.shared, rows.shared_residual])])
+        size = np.linalg.norm(stacked[:, :-1] * parameters.scale, axis=0)
+        stacked[:, :-1][:, size < ROUNDING * np.max(size, initial=0.0)] = 0.0
         lower, upper = (np.where(free, bound - self.theta, 0.0) for bound in (parameters.lower, parameters.upper))
-        return bounded_step(stacked, damping, lower, upper, truncation=DETERMINED)
+        return bounded_step(stacked, damping, lower, upper, truncation=float(np.sqrt(INFORMATION_TOLERANCE)))
+
+    def _moved(self, change: Array) -> _Place:
+        return _Place.at(self.problem, self.theta + change, self.rows.followed(self.problem, self.q, change))
 
     def after(self, change: Array) -> _Place:
-        """The place after a step, with angles that follow it; they are corrected while the cost is larger."""
-        problem, allowed = self.problem, self.cost * (1 + ROUNDING) + CONVERGED**2
-        trial = _Place.at(problem, self.theta + change, self.rows.followed(problem, self.q, change))
-        for _ in range(CORRECTIONS):
-            if trial.cost <= allowed:
+        there = self._moved(change)
+        return there if there.cost <= self.cost else there.corrected()
+
+    def corrected(self) -> _Place:
+        layout, place, still = self.problem.layout, self, np.zeros(len(self.theta))
+        unit = np.where(layout.moving, ANGLE_STEP, np.where(layout.sensed, self.problem.angle_sigma, 0.0))
+        for _ in range(0 if self.exact else CORRECTIONS):
+            before, place = place.q, place._moved(still)
+            if np.all(np.abs(place.q - before) <= SETTLED * unit):
                 break
-            trial = _Place.at(problem, trial.theta, trial.rows.followed(problem, trial.q, np.zeros(len(change))))
-        unit = np.where(problem.layout.moving, ANGLE_STEP, np.where(problem.layout.sensed, problem.angle_sigma, 0.0))
-        moved = np.abs(trial.q - self.q)[unit > 0] / unit[unit > 0]
-        return replace(trial, unsettled=float(np.max(moved, initial=0.0)))
-
-
-def by_ipopt(problem: PoseEquations, start: Array, angles: Array) -> tuple[Array, Array]:
-    """As `maximum_likelihood`, by IPOPT.
-
-    Raises:
-        SolverError: IPOPT failed or its answer failed our check.
-    """
-    layout, parameters = problem.layout, problem.parameters
-    initial = np.where(problem.free, np.clip(start, parameters.lower, parameters.upper), problem.start)
-    unit = _scale(problem, initial, angles)
-    program = _stated(problem, initial, unit, np.where(layout.moving, angles, layout.reading),
-                      np.where(layout.moving, ANGLE_STEP, problem.angle_sigma), _typical_gap(problem))
-    free, others = np.flatnonzero(problem.free), np.full(len(program.angles), np.inf)
-    lower, upper = (((bound - initial) / unit)[free] for bound in (parameters.lower, parameters.upper))
-    zero = np.zeros(program.g.numel())
-    answer = ipopt.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, np.zeros(program.x.numel()),
-                             np.append(lower, -others), np.append(upper, others), zero, zero,
-                             f"calibration of {problem.model.machine.name}", ())
-    theta, q = ca.Function("found", [program.x], [program.theta, program.q])(answer)
-    return np.asarray(theta).ravel(), np.asarray(q).T
+        return self if self.exact else replace(place, exact=True)
 
 
 def nonlinear_program(problem: PoseEquations) -> NonlinearProgram:
     """The program that `maximum_likelihood` solves, with all variables in SI: parameters, then angles of the poses."""
     layout, parameters, model = problem.layout, problem.parameters, problem.model
+    (count, n), m, g = layout.reading.shape, layout.present.shape[1], len(model.parameters)
     start = np.clip(problem.start, parameters.lower, parameters.upper)
     angles = np.where(layout.moving, guess_unsensed(problem, start), layout.reading)
-    free = np.flatnonzero(problem.free)
-    program = _stated(problem, np.where(problem.free, 0.0, problem.start), np.ones(len(parameters)),
-                      np.where(layout.moving | (layout.sensed & (problem.angle_sigma > 0)), 0.0, angles),
-                      np.ones(angles.shape), 1.0)
-    poses, joints = np.divmod(program.angles, angles.shape[1])
-    units = model.machine.channel_units
-    gaps, others = len(program.strict), np.full(len(program.angles), np.inf)
+    free, read = np.flatnonzero(problem.free), layout.sensed & (problem.angle_sigma > 0)
+    own = np.concatenate([np.flatnonzero(read.ravel()), np.flatnonzero(layout.moving.ravel())])
+    x = ca.MX.sym("x", len(free) + len(own))
+    theta, q = ca.MX(ca.DM(problem.start)), ca.MX(ca.DM(angles.ravel()))
+    theta[free.tolist()], q[own.tolist()] = x[: len(free)], x[len(free) :]
+    q += _matrix(*layout.locked, count * n, len(parameters)) @ theta
+    held = np.flatnonzero(layout.place.ravel() >= 0)
+    place = ca.DM(layout.given.ravel()) + _matrix(
+        held, layout.place.ravel()[held], np.ones(len(held)), layout.place.size, len(parameters)) @ theta
+    symbols = [ca.SX.sym("v", size) for size in (g, n, layout.place.shape[1], m, n, n + m, 1)]
+    rows = model.observed(*symbols[:3]) - symbols[3]
+    square = ca.sumsqr(ca.vertcat(symbols[1] - symbols[4], rows) * symbols[5])
+    pose = ca.Function("pose", symbols, [rows, robust_loss(square, problem.loss, symbols[6]) / 2]).map(count)
+    weight = np.hstack([_inverse(np.broadcast_to(problem.angle_sigma, (count, n)), read),
+                        _inverse(problem.row_sigma, layout.present & (problem.row_sigma > 0))])
+    left, cost = pose(ca.repmat(theta[:g], 1, count), ca.reshape(q, n, count), ca.reshape(place, -1, count),
+                      layout.target.T, layout.reading.T, weight.T, layout.expected[None, :])
+    shared = ca.sumsqr(ca.DM(problem.known) * (theta - ca.DM(parameters.nominal)))
+    for ends, length, spread in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
+                                    strict=True):
+        shared += ((ca.norm_2(theta[ends[0].tolist()] - theta[ends[1].tolist()]) - length) / spread) ** 2
+    strict = np.flatnonzero((layout.present & (problem.row_sigma == 0)).ravel())
+    poses, joints = np.divmod(own, n)
+    units, others, closed = model.machine.channel_units, np.full(len(own), np.inf), np.zeros(len(strict))
     return NonlinearProgram(
-        x=program.x, f=program.f, g=program.g, p=ca.MX.sym("p", 0),
+        x=x, f=ca.sum2(cost) + shared / 2, g=ca.vec(left)[strict.tolist()], p=ca.MX.sym("p", 0),
         x_names=(*(parameters.names[k] for k in free),
                  *(f"pose {pose + 1}: {model.joints[k]}.q" for pose, k in zip(poses, joints, strict=True))),
         x_units=(*(parameters.units[k] for k in free), *(units[f"{model.joints[k]}.q"] for k in joints)),
-        x0=np.append(start[free], angles.ravel()[program.angles]),
+        x0=np.append(start[free], angles.ravel()[own]),
         lbx=np.append(parameters.lower[free], -others), ubx=np.append(parameters.upper[free], others),
-        g_names=tuple(f"pose {k // layout.present.shape[1] + 1}: loop closure" for k in program.strict),
-        g_units=("m",) * gaps, lbg=np.zeros(gaps), ubg=np.zeros(gaps), objective=tuple(problem.objective))
-
-
-class _Stated(NamedTuple):
-    """Half the squares f, the gaps g that must vanish, all parameters (P,) and joints (n, N) as expressions in x.
-
-    x has the free parameters, then the angles at the flat positions `angles` in (N, n): those that are read with
-    errors, and those that move unsensed. `strict` are the flat positions in (N, m) of the rows g.
-    """
-
-    x: ca.MX
-    f: ca.MX
-    g: ca.MX
-    theta: ca.MX
-    q: ca.MX
-    angles: NDArray[np.intp]
-    strict: NDArray[np.intp]
-
-
-def _stated(problem: PoseEquations, theta: Array, theta_unit: Array, angles: Array, angle_unit: Array,
-            gap_unit: float) -> _Stated:
-    """The program with parameters and angles at x = 0, their units, and that of the gaps [m]."""
-    layout, model = problem.layout, problem.model
-    (count, n), m = layout.reading.shape, layout.present.shape[1]
-    free, read = np.flatnonzero(problem.free), layout.sensed & (problem.angle_sigma > 0)
-    own = np.concatenate([np.flatnonzero(read.ravel()), np.flatnonzero(layout.moving.ravel())])
-    k, x = len(free), ca.MX.sym("x", len(free) + len(own))
-    numbers = ca.DM(theta) + _matrix(free, np.arange(k), theta_unit[free], len(theta), k) @ x[:k]
-    where, which, factor = layout.locked
-    held = np.flatnonzero(layout.place.ravel() >= 0)
-    q = ca.reshape(
-        ca.DM(angles.ravel()) + _matrix(where, which, factor, count * n, len(theta)) @ numbers
-        + _matrix(own, np.arange(len(own)), angle_unit.ravel()[own], count * n, len(own)) @ x[k:], n, count)
-    place = ca.reshape(ca.DM(layout.given.ravel()) + _matrix(
-        held, layout.place.ravel()[held], np.ones(len(held)), layout.place.size, len(theta)) @ numbers, -1, count)
-    g_, q_, place_, target = (ca.SX.sym("v", k) for k in (len(model.parameters), n, place.shape[0], m))
-    weights, reading, expected = ca.SX.sym("weights", n + m), ca.SX.sym("reading", n), ca.SX.sym("expected")
-    rows = model.observed(g_, q_, place_) - target
-    square = ca.sumsqr(ca.vertcat(q_ - reading, rows) * weights)
-    pose = ca.Function("pose", [g_, q_, place_, target, weights, reading, expected], [
-        rows, robust_loss(square, problem.loss, expected) / 2]).map(count)
-    weighed = layout.present & (problem.row_sigma > 0)
-    weight = np.hstack([_inverse(np.broadcast_to(problem.angle_sigma, (count, n)), read),
-                        _inverse(problem.row_sigma, weighed)])
-    left, cost = pose(ca.repmat(numbers[: len(model.parameters)], 1, count), q, place, layout.target.T, weight.T,
-                      layout.reading.T, layout.expected[None, :])
-    shared = ca.sumsqr(ca.DM(problem.known) * (numbers - ca.DM(problem.parameters.nominal)))
-    for ends, length, spread in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
-                                    strict=True):
-        apart = numbers[ends[0].tolist()] - numbers[ends[1].tolist()]
-        shared += ((ca.norm_2(apart) - length) / spread) ** 2
-    strict = np.flatnonzero((layout.present & (problem.row_sigma == 0)).ravel())
-    return _Stated(x, ca.sum2(cost) + shared / 2, ca.vec(left)[strict.tolist()] / gap_unit, numbers, q, own, strict)
-
-
-def _scale(problem: PoseEquations, theta: Array, angles: Array) -> Array:
-    """Units (P,) of the parameters in which the cost is not too steep.
-
-    With 1 m beside a reading's 1 mm, rounding errors alone would be larger than the gradient that IPOPT accepts.
-    """
-    weighed = problem.layout.present & (problem.row_sigma > 0)
-    slope = problem.rows(theta, problem.angles(theta, angles))[1] * _inverse(problem.row_sigma, weighed)[:, :, None]
-    steep = np.sum(slope**2, axis=(0, 1))
-    return np.asarray(1 / np.sqrt(1 / problem.parameters.scale**2 + steep / STEEPEST))
-
-
-def _typical_gap(problem: PoseEquations) -> float:
-    """How far the tip is off [m] by the errors of the angles: the unit in which loops are closed."""
-    reach = sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.links) + 0.1
-    return float(max(np.max(problem.angle_sigma, initial=0.0), 1e-6) * reach)
+        g_names=tuple(f"pose {k // m + 1}: loop closure" for k in strict), g_units=("m",) * len(strict), lbg=closed,
+        ubg=closed, objective=tuple(problem.objective))
 
 
 def _inverse(sigma: Array, where: NDArray[np.bool_]) -> Array:

@@ -8,13 +8,13 @@ import numpy as np
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.initial_guesses import closed_angles, guess_unsensed
 from hydroopt.estimation.kinematic.link_by_link import StageResult
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.pose_checks import refuse_unusable
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.solution import HIERARCHICAL, JOINT, METHODS
-from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, guess_unsensed
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 

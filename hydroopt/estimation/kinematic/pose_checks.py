@@ -8,15 +8,15 @@ from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
-from hydroopt.estimation.kinematic.instrument_poses import Sighting, placed, rotations, sightings
+from hydroopt.estimation.kinematic.initial_guesses import Sighting, follow_unsensed, guess_unsensed, placed, sightings
 from hydroopt.estimation.kinematic.observability import Linearised
 from hydroopt.estimation.kinematic.pose_layout import PoseLayout
 from hydroopt.estimation.kinematic.problem import UNFILLED, CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
-from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.machine.sensors import ACCELEROMETER, Imu
 from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
@@ -426,6 +426,6 @@ def _other_sightings(sighting: Sighting) -> Iterator[tuple[Sighting, str, str]]:
            "instrument than the positions, with y and z reversed", order)
     yield (sighting._replace(read_turns=read @ FLIP), "the target's axes seem to be flipped, with y and z "
            "reversed", "turn the orientations, or state the target's 'orientation' in the machine file")
-    scalar_last = rotations().from_quat(np.roll(rotations().from_matrix(read).as_quat(), 1, axis=1)).as_matrix()
+    scalar_last = Rotation.from_quat(np.roll(Rotation.from_matrix(read).as_quat(), 1, axis=1)).as_matrix()
     yield (sighting._replace(read_turns=scalar_last), "the quaternions seem to have their scalar last, not "
            "first", "give the columns the headers qx, qy, qz, qw in that order")

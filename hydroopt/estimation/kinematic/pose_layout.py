@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
@@ -63,12 +64,10 @@ def turns(poses: Poses) -> dict[str, Array]:
 
 
 def _vectors(quaternion: Array) -> Array:
-    """Rotation vectors (N, 3) [rad] of quaternions (N, 4), scalar first; the shorter way round."""
-    turned = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    turned = np.where(turned[:, :1] < 0, -turned, turned)
-    sine = np.linalg.norm(turned[:, 1:], axis=1)
-    angle = 2 * np.arctan2(sine, turned[:, 0])
-    return np.asarray(turned[:, 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)[:, None])
+    """Rotation vectors (N, 3) [rad] of quaternions (N, 4), scalar first; the shorter way round, NaN where none is."""
+    found, there = np.full((len(quaternion), 3), np.nan), np.isfinite(quaternion).all(axis=1)
+    found[there] = Rotation.from_quat(quaternion[there], scalar_first=True).as_rotvec()
+    return found
 
 
 def _row(poses: Poses, row: Any) -> str:

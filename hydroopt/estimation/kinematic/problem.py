@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import listing
 from hydroopt.estimation.inference.program import NonlinearProgram
-from hydroopt.estimation.kinematic.instrument_poses import placed
+from hydroopt.estimation.kinematic.initial_guesses import placed
 from hydroopt.estimation.kinematic.maximum_likelihood import nonlinear_program
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
 from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout

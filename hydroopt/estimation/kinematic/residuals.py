@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.kinematic.initial_guesses import explained_by_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.unsensed_angles import explained_by_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.results.fit import Fit
 from hydroopt.results.tables import number
@@ -33,31 +33,33 @@ class PoseResiduals(NamedTuple):
     units: dict[str, str]
 
 
+def groups(problem: CalibrationProblem) -> dict[str, tuple[list[int], str]]:
+    """Rows of the model whose residuals are stated together, by name, and their SI unit: gap and turn of loops, the
+    tip, lengths, distances, and what instruments, datums and inclinometers read."""
+    model, found = problem.model, dict[str, tuple[list[int], str]]()
+    measured = {channel: each for each in model.measurements for channel in each.channels}
+    for i, channel in enumerate(model.channels):
+        kind = channel.partition(".")[0]
+        own = kind if kind in (*LOOP, "tip") and not channel.endswith(".distance") else channel
+        name = measured[channel].name if channel in measured else own
+        found.setdefault(name, ([], model.units[i]))[0].append(i)
+    return found
+
+
 def residual_sizes(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Array]:
-    """Size (N,) of every pose's residual, by channel, see `units_of`; NaN where a pose does not have it."""
-    left, present, names = gaps(problem, theta, q), problem.layout.present, problem.model.channels
-    measured = {channel: each.name for each in problem.model.measurements for channel in each.channels}
-    columns: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
-        if name in measured:
-            columns.setdefault(measured[name], []).append(i)
-            continue
-        kind = name.partition(".")[0]
-        grouped = kind in (*LOOP, "tip") and not name.endswith(".distance")
-        columns.setdefault(kind if grouped else name, []).append(i)
-    sizes = {}
-    for name, some in columns.items():
-        # a plane holds the tip in one direction only; the others' residuals are zero
-        there = present[:, some].any(axis=1) if name in LOOP else present[:, some].all(axis=1)
+    """Size (N,) of every pose's residual, by `groups`; NaN where a pose does not have it."""
+    left, sizes = gaps(problem, theta, q), {}
+    for name, (some, _) in groups(problem).items():
+        there = _there(problem, name, some)
         if np.any(there):
             sizes[name] = np.where(there, np.linalg.norm(left[:, some], axis=1), np.nan)
     return sizes
 
 
-def units_of(problem: CalibrationProblem, names: Iterable[str]) -> dict[str, str]:
-    """SI units of the residuals that `residual_sizes` calls so."""
-    units = {each.name: each.unit for each in problem.model.measurements} | {"turn": "rad"}
-    return {name: units.get(name, "m") for name in names}
+def _there(problem: CalibrationProblem, name: str, rows: list[int]) -> NDArray[np.bool_]:
+    """(N,) which poses have all rows of a group; of loops, any: a plane holds the tip in one direction only."""
+    present = problem.layout.present[:, rows]
+    return np.asarray(present.any(axis=1) if name in LOOP else present.all(axis=1))
 
 
 def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
@@ -77,36 +79,22 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
     A gap is compared with how far the link that carries the calibrator travels over the poses.
     """
     left, layout, model = gaps(problem, theta, q), problem.layout, problem.model
-    table: dict[str, Fit] = {}
-    closed = layout.held
-    if np.any(closed):
-        chain = [link.name for link in model.machine.chain]
-        assert model.machine.calibrator is not None
-        ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
-        travel = ends[closed][:, :, chain.index(model.machine.calibrator.parent)]
-        table["gap"] = Fit.of(left[closed, :3], travel, "m")
-        if np.any(layout.present[:, 3 : model.loop_rows]):
-            turned = closed & layout.present[:, 3 : model.loop_rows].any(axis=1)
-            rms = float(np.sqrt(np.sum(left[turned, 3 : model.loop_rows] ** 2) / turned.sum()))
-            table["turn"] = Fit(rms, float("nan"), float("nan"), "rad")
-    columns = np.array([i for i, name in enumerate(model.channels) if name.startswith("tip.")])
-    there = layout.present[:, columns].all(axis=1)
-    if np.any(there):
-        table["tip"] = Fit.of(left[there][:, columns], layout.target[there][:, columns], "m")
-    first = len(model.channels) - sum(len(each.channels) for each in model.measurements)
-    for i, name in enumerate(model.channels):
-        if i < first and name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
-            there = layout.present[:, i]
-            table[name] = Fit.of(left[there, i : i + 1], layout.target[there, i : i + 1], "m")
-    datums = {datum.name for datum in model.machine.datums}
-    for each in model.measurements:
-        own = [model.channels.index(channel) for channel in each.channels]
-        there = layout.present[:, own].all(axis=1)
-        if np.any(there):
-            read = layout.given[:, [model.readings[i] for i in own]] if each.reading else layout.target[:, own]
-            fit = Fit.of(left[there][:, own], read[there], each.unit)
-            touched = each.name.partition(".")[0] in datums  # all its readings are zero, or the radius of a ball
-            table[each.name] = Fit(fit.rms, float("nan"), float("nan"), fit.unit) if touched else fit
+    datums, table = {datum.name for datum in model.machine.datums}, dict[str, Fit]()
+    for name, (some, unit) in groups(problem).items():
+        there = _there(problem, name, some)
+        if not np.any(there):
+            continue
+        signal = layout.given[:, [model.readings[i] for i in some]] if some[0] in model.readings else (
+            layout.target[:, some])
+        if name == "gap":
+            chain = [link.name for link in model.machine.chain]
+            assert model.machine.calibrator is not None
+            ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
+            signal = ends[:, :, chain.index(model.machine.calibrator.parent)]
+        fit = Fit.of(left[there][:, some], signal[there], unit)
+        # all readings of a datum are zero, or the radius of a ball
+        alike = name == "turn" or name.partition(".")[0] in datums
+        table[name] = Fit(fit.rms, float("nan"), float("nan"), unit) if alike else fit
     return table
 
 

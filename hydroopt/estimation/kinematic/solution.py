@@ -15,9 +15,8 @@ from hydroopt.estimation.kinematic.link_by_link import StageResult
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.pose_faults import Suspect
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.machine.calibrated_numbers import closed_flat
+from hydroopt.machine.calibrated_numbers import with_calibrated
 from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
-from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.results.fit import Fit
@@ -157,6 +156,11 @@ class KinematicSolution:
         """(P, 2) intervals."""
         return np.asarray(self.theta[:, None] + 1.959964 * self.std[:, None] * np.array([-1.0, 1.0]))
 
+    @cached_property
+    def written(self) -> CalibratedMachine:
+        """The calibrated machine and its file."""
+        return _calibrated_machine(self)
+
     def category(self, name: str) -> str:
         """``full``, ``combination`` or ``none`` by the data alone, or ``fixed``."""
         if name in self.problem.fixed:
@@ -207,59 +211,38 @@ class WidenedLimits(NamedTuple):
 
 
 class CalibratedMachine(NamedTuple):
-    """The machine with the calibrated geometry, and joint limits that gave way: to its strokes, and to its poses."""
+    """The machine with the calibrated geometry, the text of its file, and joint limits that gave way, to strokes and
+    to poses. Without a machine the `reason` why none can have this geometry."""
 
-    machine: Machine
-    narrowed: tuple[NarrowedLimits, ...]
-    widened: tuple[WidenedLimits, ...]
-
-
-class MachineText(NamedTuple):
-    """Text of the calibrated machine's file; or "" and the reason why no machine can have this geometry."""
-
+    machine: Machine | None = None
     text: str = ""
     reason: str = ""
     narrowed: tuple[NarrowedLimits, ...] = ()
     widened: tuple[WidenedLimits, ...] = ()
 
 
-def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
+def _calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
     """The machine with the calibrated geometry and its confidences.
 
     Joint limits beyond the ends of a stroke give way to it, and those short of poses to these, since limits are often
-    assumed or rounded. A vector keeps
-    the largest of its confidences, and correlations are lost; angles of locked joints belong to the poses and are not
-    written.
-
-    Raises:
-        MachineError: no machine can have this geometry.
+    assumed or rounded. Angles of locked joints belong to the poses and are not written, nor is a number of a
+    combination alone: it is arbitrary.
     """
     problem = solution.problem
-    machine = problem.model.machine
-    source = f"calibrated by {solution.algorithm} from {problem.poses.name}"
-    numbers, values, notes = machine.numbers, {}, {}
-    of_paths = dict(machine.notes)
-    written: dict[str, float] = {}
-    for name, value, std in zip(problem.parameters.names, solution.theta, solution.std, strict=True):
-        if name not in numbers:  # angles of locked joints, drifts, places of fixtures that move
-            continue
-        held = name in problem.fixed or solution.at_bound[problem.parameters.index(name)]
-        category = solution.category(name)
-        identified = category == "full" or (category == "combination" and np.isfinite(std))
-        if not (held or identified):  # an arbitrary number of a combination is no result
-            continue
-        values[name] = float(value)
-        if name in problem.fixed:
-            continue
-        path = numbers[name].path
-        before = of_paths.get(path, Note())
-        if np.isfinite(std) and std > 0:
-            written[path] = max(written.get(path, 0.0), float(std))
-            before = before.model_copy(update={"sigma": written[path], "relative": False})
-        notes[name] = of_paths[path] = before.model_copy(update={"source": source})
-    widened = tuple(_widened(solution))
-    reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
-    return CalibratedMachine(*within_strokes(reached.with_values(closed_flat(reached, values), notes)), widened)
+    machine, widened, found = problem.model.machine, tuple(_widened(solution)), {}
+    for k, name in enumerate(problem.parameters.names):
+        std, category = float(solution.std[k]), solution.category(name)
+        if solution.at_bound[k] or category == "full" or (category == "combination" and np.isfinite(std)):
+            found[name] = float(solution.theta[k]), std
+    try:
+        reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
+        made, narrowed = within_strokes(with_calibrated(
+            reached, found, f"calibrated by {solution.algorithm} from {problem.poses.name}", problem.fixed))
+        text = dump_machine(made)
+        read_machine(text, where="the calibrated machine")
+    except (HydrooptError, ValueError) as error:
+        return CalibratedMachine(reason=_reason(machine, error))
+    return CalibratedMachine(made, text, "", narrowed, widened)
 
 
 def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
@@ -274,17 +257,6 @@ def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
         after = min(lower, float(np.min(angles, initial=lower))), max(upper, float(np.max(angles, initial=upper)))
         if after != (lower, upper):
             yield WidenedLimits(link.name, (lower, upper), after)
-
-
-def machine_text(solution: KinematicSolution) -> MachineText:
-    """The calibrated machine's file, where a machine can have this geometry."""
-    try:
-        made = calibrated_machine(solution)
-        text = dump_machine(made.machine)
-        read_machine(text, where="the calibrated machine")
-    except (HydrooptError, ValueError) as error:
-        return MachineText(reason=_reason(solution.problem.model.machine, error))
-    return MachineText(text, narrowed=made.narrowed, widened=made.widened)
 
 
 def _reason(machine: Machine, error: Exception) -> str:

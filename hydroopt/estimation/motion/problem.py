@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.inference.listing import counted
-from hydroopt.estimation.motion.first_guess import first_guess
 from hydroopt.estimation.motion.motion_fit import FittedPaths, MotionFit, Stretch, solve
 from hydroopt.estimation.motion.observations import (
     Common,
@@ -39,6 +38,21 @@ SHORTEST = 12
 """Samples of a stretch that is fitted."""
 PAUSE = 2.0
 """Time [s] without any reading that cuts a motion into two."""
+STEP = 0.1
+"""Time [s] over which readings are averaged."""
+ACCELERATION = 0.7
+"""How much links accelerate [m/s²], which a guess by the inclination of gravity leaves out."""
+COARSE = {"q": 0.01, "qd": 0.02, "qdd": 1.0, "length": 0.01, "gyro": 0.02, "accel": ACCELERATION, "roll": 0.05,
+          "pitch": 0.05, "x": 0.05, "y": 0.05, "z": 0.05}
+"""How much readings may differ from a guess [SI], by the kind of channel."""
+RATES = ("qd", "gyro")
+"""Kinds of channels that tell speeds."""
+DRIFT = 0.02
+"""How much a joint's speed by the guess errs [rad/s or m/s]."""
+SETTLE = 30
+"""Steps towards the first posture."""
+LARGEST = 0.3
+"""Largest step of a joint in one of them [rad or m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +179,7 @@ def _parted(data: Sequence[Observations]) -> list[tuple[Observations, ...]]:
 
 
 def _spline(machine: Machine, readings: Readings, data: tuple[Observations, ...]) -> Stretch:
-    times, guess = first_guess(machine, readings, data)
+    times, guess = _first_guess(machine, readings, data)
     stamps = np.sort(np.concatenate([each.stamped for each in data]))
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
     if memory := max(each.memory for each in data):  # what lagging sensors remember was before the first reading
@@ -185,5 +199,75 @@ def _postures(machine: Machine, made: SensorReadings, data: Observations, number
     for k in range(int(number.max()) + 1):
         here = number == k
         at_once = replace(data.thinned(here), t=np.zeros(int(np.sum(here))))
-        found.append(first_guess(machine, {data.channels: made}, (at_once,))[1][0])
+        found.append(_first_guess(machine, {data.channels: made}, (at_once,))[1][0])
     return Stretch(Postures(np.array(found)), (replace(data, t=number.astype(float)),))
+
+
+def _first_guess(machine: Machine, readings: Mapping[tuple[str, ...], SensorReadings],
+                data: Sequence[Observations]) -> tuple[Array, Array]:
+    """Times (M,) and joint positions (M, n) over a stretch, by a filter with the nominal geometry.
+
+    Args:
+        machine: the machine.
+        readings: by channels.
+        data: what was read along the stretch; every group of channels by its own stamps.
+
+    Raises:
+        LogError: no reading depends on some joint.
+    """
+    begin, end = min(each.stamped[0] for each in data), max(each.stamped[-1] for each in data)
+    count = int((end - begin) / STEP) + 1
+    means = [_means(each, begin, count) for each in data]
+    kinds = [[channel.rpartition(".")[2].partition("_")[0] for channel in each.channels] for each in data]
+    noise = [np.array([COARSE[kind] for kind in own]) for own in kinds]
+    rates = [np.array([kind in RATES for kind in own], dtype=bool) for own in kinds]
+    made = [readings[each.channels] for each in data]
+    given = [np.array([number.value for number in each.numbers]) for each in made]
+    ranges = np.array([machine.link(joint).joint.range for joint in machine.joints])
+    q, spread = ranges.mean(axis=1), np.diag(np.ptp(ranges, axis=1) ** 2)
+    speed, depends = np.zeros_like(q), np.zeros(len(q), dtype=bool)
+    path = np.empty((count, len(q)))
+    for k in range(count):
+        ahead = spread + np.eye(len(q)) * (DRIFT * STEP) ** 2
+        predicted = q + speed * STEP * (k > 0)
+        found = predicted
+        for _ in range(SETTLE if k == 0 else 1):
+            information, right = np.linalg.inv(ahead), np.linalg.solve(ahead, predicted)
+            turning, turned = np.eye(len(q)), np.zeros(len(q))  # speeds are of the order of one
+            for read, g, sigma, rate, (values, weight) in zip(made, given, noise, rates, means, strict=True):
+                state = found[None]
+                expected, by_q, by_qd, _, _ = read(state, 0 * state, 0 * state, g)
+                own = weight[k] & np.isfinite(expected[0])
+                depends |= np.any(by_q[0] != 0, axis=0) | np.any(by_qd[0] != 0, axis=0)
+                left = (values[k] - expected[0]) / sigma
+                placed = own & ~rate
+                rows = by_q[0][placed] / sigma[placed, None]
+                information += rows.T @ rows
+                right += rows.T @ (left[placed] + rows @ found)
+                placed = own & rate
+                rows = by_qd[0][placed] / sigma[placed, None]
+                turning += rows.T @ rows
+                turned += rows.T @ left[placed]
+            step = np.linalg.solve(information, right) - found
+            found = found + np.clip(step, -LARGEST, LARGEST)
+        speed = np.linalg.solve(turning, turned)
+        q, spread = found, np.linalg.inv(information)
+        path[k] = q
+    if not depends.all():
+        joint = machine.joints[int(np.flatnonzero(~depends)[0])]
+        turns = machine.position_unit(joint) == "rad"  # of a joint that slides, an IMU tells accelerations at most
+        raise LogError(f"no reading depends on the joint '{joint}'" if turns else
+                       f"no reading determines the position of the joint '{joint}', which slides", where=data[0].name,
+                       remedy="record its angle, the length of its cylinder, or an IMU on the link that it moves"
+                       if turns else "record it, or the length of its cylinder")
+    return np.asarray(begin + STEP * (np.arange(count) + 0.5), dtype=np.float64), path
+
+
+def _means(data: Observations, begin: float, count: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Means (count, m) over steps of time, and which of them hold a reading."""
+    bins = np.minimum(((data.stamped - begin) / STEP).astype(int), count - 1)
+    number, total = np.zeros((2, count, len(data.channels)))
+    np.add.at(number, bins, data.used)
+    np.add.at(total, bins, np.where(data.used, data.values, 0.0))
+    held = number > 0
+    return np.divide(total, number, out=np.zeros((count, len(data.channels))), where=held), held

@@ -118,8 +118,7 @@ class _Search:
         ends = self._at_rest(np.array([self.start, self.goal]))
         self.at_rest = (np.minimum(limits.lower + BACK_OFF, np.min(ends, axis=0) - ROUNDING),
                         np.maximum(limits.upper - BACK_OFF, np.max(ends, axis=0) + ROUNDING))
-        short = limits.excess(at_start[None])[0] > 0
-        self.short = tuple(dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(short)))
+        self.short = tuple(limits.names(limits.excess(at_start[None])[0] > 0))
 
     def _refuse(self, itself: Limits) -> None:
         """Refuse a start that breaks a limit even without reserves."""
@@ -190,9 +189,10 @@ class _Search:
     def _between(self) -> list[str]:
         """Limits that the direct way breaks."""
         q = self.start + np.linspace(0, 1, 100)[:, None] * (self.goal - self.start)
-        values = self._at_rest(self.limits.hanging.postures(q))
-        broken = np.any((values < self.lower) | (values > self.upper), axis=0)
-        return list(dict.fromkeys(self.limits.rows[k].name for k in np.flatnonzero(broken))) or ["limits"]
+        return self._broken(self._at_rest(self.limits.hanging.postures(q))) or ["limits"]
+
+    def _broken(self, values: Array) -> list[str]:
+        return self.limits.names(np.any((values < self.lower) | (values > self.upper), axis=0))
 
     def _grown(self, tree: tuple[list[Array], list[int]], towards: Array) -> Array | None:
         """The posture that a step from the nearest one of a tree reaches, if the way there is free."""
@@ -239,12 +239,9 @@ class _Search:
             if self._kept(self.limits.values(*moved)):
                 return Trajectory(t, *moved)
             duration *= SLOWER
-        values = self.limits.values(*moved)
-        broken = np.any((values < self.lower) | (values > self.upper), axis=0)
-        names = dict.fromkeys(self.limits.rows[k].name for k in np.flatnonzero(broken))
-        raise ProblemError(f"{', '.join(names)} cannot be kept on the way to the motion's first posture, "
-                           "however slowly", where="--start",
-                           remedy="drive the machine nearer by hand, or keep smaller reserves")
+        names = ", ".join(self._broken(self.limits.values(*moved)))
+        raise ProblemError(f"{names} cannot be kept on the way to the motion's first posture, however slowly",
+                           where="--start", remedy="drive the machine nearer by hand, or keep smaller reserves")
 
 
 def _way(tree: tuple[list[Array], list[int]]) -> list[Array]:

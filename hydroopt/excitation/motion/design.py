@@ -291,5 +291,4 @@ def _conflicting_limits(problem: ExcitationProblem, rest: Array) -> list[str]:
     """Names of limits that a small random motion about rest violates."""
     slight = rest + STILL * np.random.default_rng(0).standard_normal(len(rest))
     values = problem.limits.values(*problem.states(slight, problem.grid))
-    broken = np.flatnonzero(np.max(problem.limits.excess(values), axis=0) > 0)
-    return list(dict.fromkeys(problem.limits.rows[k].name for k in broken)) or ["all limits together"]
+    return problem.limits.names(np.max(problem.limits.excess(values), axis=0) > 0) or ["all limits together"]

@@ -19,7 +19,7 @@ from hydroopt.excitation.motion.approach import Approach, approach, start_of
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture, shrunk
-from hydroopt.limits.use import Course, UseOfLimit, courses
+from hydroopt.limits.limits import Course, UseOfLimit, courses
 from hydroopt.limits.watch import Watch, reach, watch
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.table import encoded_columns

@@ -28,12 +28,11 @@ def resting_posture(problem: ExcitationProblem, rng: np.random.Generator) -> Arr
         chosen = int(np.argmin(np.max(excess, axis=1)))
         best, worst, least = q[chosen], excess[chosen], np.minimum(least, np.min(excess, axis=0))
     if np.max(worst) > 0:
-        never = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(least > 0))
-        broken = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(worst > 0))
+        never = limits.names(least > 0)
         # if each limit alone can be satisfied, the active ones conflict with the violated ones
-        tight = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero((worst <= 0) & (worst > -TIGHT)))
+        together = dict.fromkeys([*limits.names(worst > 0), *limits.names(worst > -TIGHT)])
         what = "in any posture" if never else "together in any posture"
-        raise ProblemError(f"{', '.join(never or broken | tight)} cannot be kept {what}", where="excitation",
+        raise ProblemError(f"{', '.join(never or together)} cannot be kept {what}", where="excitation",
                            remedy="correct these limits in the machine file, the posture of joints that rest, or keep "
                            "smaller reserves")
     return problem.posture(best)

@@ -13,8 +13,8 @@ from hydroopt.estimation.kinematic.observability import Observability, linearise
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseLabels, PoseProblem, calibration_of
 from hydroopt.excitation.selection.readings import readings
+from hydroopt.limits.limits import courses
 from hydroopt.limits.postures import LeftOut
-from hydroopt.limits.use import courses
 from hydroopt.limits.watch import IN_PRINT, Watch, reach, watch
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine

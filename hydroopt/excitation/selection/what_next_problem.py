@@ -14,12 +14,14 @@ from scipy.linalg import block_diag
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.combined.log_geometry import ForcesByGeometry
 from hydroopt.excitation.criteria import FAINT
-from hydroopt.excitation.selection.additions import Addition, additions, equipped
 from hydroopt.excitation.selection.candidate_postures import random_candidates
 from hydroopt.excitation.selection.goals import Goal, LoadGoal, force_goal, load_goal
 from hydroopt.excitation.selection.knowledge import Knowledge
 from hydroopt.excitation.selection.measurements import (
+    Addition,
     Measurement,
+    additions,
+    equipped,
     known_load,
     levelled_base,
     motion_measurement,
@@ -93,7 +95,7 @@ class WhatNextProblem(CombinatorialProblem):
     @property
     def postures(self) -> tuple[PostureReadings, ...]:
         """What can be read in candidate postures of all groups; where a fixture holds the calibrator in all of them
-        also without it. None where nothing of the geometry is uncertain or read."""
+        also without it. Empty where nothing of the geometry is uncertain or read."""
         return tuple(there for there, _ in self._drawn)
 
     @cached_property

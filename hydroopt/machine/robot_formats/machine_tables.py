@@ -38,8 +38,7 @@ from hydroopt.units import SMALLEST
 
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
 _APART = 1e-9
-"""How far a joint may lie beside the axis [m, rad] that a sidecar's frames give it."""
-_PARALLEL = 1e-9
+"""How far [m, rad] a joint may lie beside the axis that a sidecar gives it, or an axis of a loop beside its plane."""
 
 
 class Placed(NamedTuple):
@@ -380,8 +379,9 @@ def stated_loops(tree: RobotTree, tables: Mapping[str, Any], names: Mapping[str,
                                    for each, point in zip(pin.links, pin.points, strict=True))
         if link == "base":
             link, at, to, there = to, there, link, at
-        loops.append({"name": _unused(pin.name, {*names.values(), *(each["name"] for each in loops)}),
-                      "link": link, "pin": _lengths(at), "to": {"link": to, "pin": _lengths(there)},
+        loops.append({"name": _named(pin.name, {*names.values(), *(each["name"] for each in loops)}, "loop"),
+                      "link": link, "pin": _quantities(at[:3], "m"),
+                      "to": {"link": to, "pin": _quantities(there[:3], "m")},
                       "closed_by": "pin" if _in_a_plane(joints, axes) else "ball",
                       "posture": {names[joint.name]: _place(tree, joint) for joint in joints}})
     joints_of = {names[joint.name]: joint for joint in tree.joints.values() if joint.name in names}
@@ -402,7 +402,7 @@ def stated_loops(tree: RobotTree, tables: Mapping[str, Any], names: Mapping[str,
 
 def _place(tree: RobotTree, joint: TreeJoint) -> str:
     """Where a joint stands as the loops are closed."""
-    return f"{tree.posture.get(joint.name, 0.0)!r} {'m' if joint.kind == 'prismatic' else 'rad'}"
+    return _quantity(tree.posture.get(joint.name, 0.0), "m" if joint.kind == "prismatic" else "rad")
 
 
 def _in_a_plane(joints: list[TreeJoint], axes: Mapping[str, Placed]) -> bool:
@@ -417,15 +417,5 @@ def _in_a_plane(joints: list[TreeJoint], axes: Mapping[str, Placed]) -> bool:
 
     turning = [axis(joint.name) for joint in joints if joint.kind == "revolute"]
     sliding = [axis(joint.name) for joint in joints if joint.kind == "prismatic"]
-    return bool(turning) and all(np.linalg.norm(np.cross(each, turning[0])) < _PARALLEL for each in turning) and all(
-        abs(each @ turning[0]) < _PARALLEL for each in sliding)
-
-
-def _lengths(point: Array) -> list[str]:
-    return [f"{float(value)!r} m" for value in point[:3]]
-
-
-def _unused(name: str, taken: set[str]) -> str:
-    stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
-    stem = stem if stem[:1].isalpha() else f"loop_{stem}"
-    return stem if stem not in taken else f"{stem}_loop"
+    return bool(turning) and all(np.linalg.norm(np.cross(each, turning[0])) < _APART for each in turning) and all(
+        abs(each @ turning[0]) < _APART for each in sliding)

@@ -10,9 +10,15 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.combined.estimate import CombinedEstimate, _about, _beside, identify_with_geometry
+from hydroopt.estimation.combined.estimate import (
+    CombinedEstimate,
+    CombinedProblem,
+    _about,
+    _beside,
+    combined_problem,
+    identify_with_geometry,
+)
 from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeometry, postures
-from hydroopt.estimation.combined.problem import CombinedProblem, combined_problem
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem

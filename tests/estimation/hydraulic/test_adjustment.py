@@ -12,8 +12,7 @@ from hydroopt import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.hydraulic.adjustment import Balanced, Linear, _Solver, adjust
 from hydroopt.estimation.hydraulic.problem import HydraulicProblem, hydraulic_problem
-from hydroopt.estimation.hydraulic.readings import Readings
-from hydroopt.estimation.hydraulic.volume_balance import Misclosure
+from hydroopt.estimation.hydraulic.volume_balance import Misclosure, Readings
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.drive_valves import drive
 

@@ -56,7 +56,7 @@ def test_all_of_a_valve_and_its_oil_is_recovered_without_noise(crane: Plant) -> 
     known = problem.parameters
     away = np.random.default_rng(3).choice([-0.2, 0.2], len(known))
     moved = replace(known, nominal=known.nominal * (1 + away), information=1e-8 * known.information)
-    found = identify_hydraulics(replace(problem, parameters=moved)).posterior
+    found = identify_hydraulics(replace(problem, parameters=moved)).adjustment
     assert len(known) == 13
     for name, value, true in zip(known.names, found.theta, known.nominal, strict=True):
         assert value == pytest.approx(true, rel=0.05 if "leakage" in name else 5e-3), name
@@ -65,7 +65,7 @@ def test_all_of_a_valve_and_its_oil_is_recovered_without_noise(crane: Plant) -> 
 def test_a_log_is_explained_and_an_unseen_one_predicted(crane: Plant, log: Log) -> None:
     estimate = identify_hydraulics(hydraulic_problem(crane.machine, [log], [driven(crane, swing(40, 3, 3), seed=2)]))
     assert np.all(np.abs(estimate.adjustment.misfit - 1) < 0.15)
-    known, found = estimate.problem.parameters, estimate.posterior
+    known, found = estimate.problem.parameters, estimate.adjustment
     assert np.all(np.abs(found.theta - known.nominal) < 4 * np.sqrt(np.diag(found.covariance)))
     unseen = estimate.fit["validation"]
     assert unseen["jack.length"].largest < 5e-3
@@ -169,7 +169,7 @@ def test_an_estimate_is_loaded_as_it_was_saved(crane: Plant, log: Log, tmp_path:
     assert loaded.fit == estimate.fit
     assert loaded.details() == estimate.details()
     assert loaded["jack.dead_band"].value == estimate["jack.dead_band"].value
-    assert estimate["jack.dead_band"].value == estimate.posterior["jack.dead_band"]
+    assert estimate["jack.dead_band"].value == estimate.adjustment["jack.dead_band"]
     assert loaded.machine.oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"].value)
 
 

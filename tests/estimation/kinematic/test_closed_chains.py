@@ -11,12 +11,12 @@ from hydroopt import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
 from hydroopt.estimation.kinematic.calibration import calibrate
+from hydroopt.estimation.kinematic.initial_guesses import guess_unsensed
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import METHODS
-from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.logs.poses import Poses, joined
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine

@@ -1,17 +1,18 @@
-"""The steps that eliminate the angles of poses end where IPOPT ends with all unknowns side by side."""
+"""The steps that eliminate the angles of poses end where IPOPT ends with all unknowns of `nlp` side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt.estimation.kinematic import maximum_likelihood
+from hydroopt.estimation.kinematic.initial_guesses import closed_angles, guess_unsensed
+from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, guess_unsensed
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -35,6 +36,25 @@ def calibrator(priors: bool = True, wild: float = 0.0) -> CalibrationProblem:
     return calibration_problem(machine, poses, fixed={"ball.y": 0.0}, priors=priors)
 
 
+def by_ipopt(problem: CalibrationProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters and joint vectors by the program that a user gets, its variables in units of their own spread."""
+    program, layout = problem.nlp(), problem.layout
+    k = int(problem.free.sum())
+    unit = np.append(problem.parameters.scale[problem.free], np.full(len(program.x0) - k, 0.01))
+    y = ca.MX.sym("y", len(unit))
+    f, g = ca.Function("nlp", [program.x], [program.f, program.g])(ca.DM(program.x0) + ca.DM(unit) * y)
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+    solver = ca.nlpsol("by_hand", "ipopt", {"x": y, "f": f, "g": g / 1e-3}, options)
+    found = solver(x0=0, lbx=(program.lbx - program.x0) / unit, ubx=(program.ubx - program.x0) / unit, lbg=0, ubg=0)
+    assert solver.stats()["success"]
+    x = program.x0 + unit * np.asarray(found["x"]).ravel()
+    theta, own = problem.start, layout.reading.ravel().copy()
+    theta[problem.free] = x[:k]
+    own[np.concatenate([np.flatnonzero((layout.sensed & (problem.angle_sigma > 0)).ravel()),
+                        np.flatnonzero(layout.moving.ravel())])] = x[k:]
+    return theta, problem.angles(theta, own.reshape(layout.reading.shape))
+
+
 def survey() -> CalibrationProblem:
     machine, _ = surveyed()
     return calibration_problem(machine, measured(truth(1), seed=2))
@@ -43,7 +63,7 @@ def survey() -> CalibrationProblem:
 def bounded() -> CalibrationProblem:
     """A length that may not grow as far as the poses ask."""
     problem = calibrator()
-    found, _ = maximum_likelihood.by_ipopt(problem, problem.start, guess_unsensed(problem, problem.start))
+    found, _ = by_ipopt(problem)
     k = problem.parameters.index("boom.a")
     upper = problem.parameters.upper.copy()
     upper[k] = found[k] - 5e-3
@@ -54,16 +74,10 @@ def bounded() -> CalibrationProblem:
     calibrator, pytest.param(lambda: calibrator(priors=False), id="data alone"), survey, bounded,
     pytest.param(lambda: calibrator(wild=0.03).with_loss("huber"), id="huber"),
     pytest.param(lambda: calibrator(wild=0.03).with_loss("student_t"), id="student_t")])
-def test_the_answer_is_that_of_ipopt(build: Callable[[], CalibrationProblem], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_answer_is_that_of_ipopt(build: Callable[[], CalibrationProblem]) -> None:
     problem = build()
-    own = guess_unsensed(problem, problem.start)
-    expected, angles = maximum_likelihood.by_ipopt(problem, problem.start, own)
-
-    def refused(*_: object) -> None:
-        raise AssertionError("the steps did not converge")
-
-    monkeypatch.setattr(maximum_likelihood, "by_ipopt", refused)
-    found, q = maximum_likelihood.maximum_likelihood(problem, problem.start, own)
+    expected, angles = by_ipopt(problem)
+    found, q = maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))
     at = linearise(problem, expected, closed_angles(problem, expected, angles))
     std = observability(problem, at).std
     known = np.isfinite(std)

@@ -226,7 +226,7 @@ def test_a_line_touched_too_seldom() -> None:
 
 
 @pytest.mark.parametrize(("before", "after", "sentence"), [
-    ('link = "stick"\nposition = {', 'link = "stik"\nposition = {', "target 'prism' is attached to 'stik', which does"),
+    ('link = "stick"\nposition = {', 'link = "stik"\nposition = {', "'prism' is attached to 'stik', which does"),
     ('between = ["hook", "prism"]', 'between = ["hook", "prsm"]', "starts or ends at 'prsm', which is not a target"),
     ('name = "laser"\nposition = { value = ["6 m", "-5 m", "1.5 m"], sigma = "10 cm" }', 'name = "laser"',
      "states its orientation, but not its position"),

@@ -11,7 +11,6 @@ import pytest
 from hydroopt import load_machine, pose_problem, solve
 from hydroopt.errors import SolverError
 from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
-from hydroopt.estimation.kinematic.diagnostics import wrong_distances
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
@@ -104,13 +103,10 @@ def test_a_wrong_distance_is_told_from_a_zero_that_changed_if_sockets_alternate(
         (suspect,) = calibration.suspects
         assert (suspect.kind, suspect.name, suspect.decided) == ("distance", "sockets", calibration is other)
         assert suspect.size == pytest.approx(0.003, abs=1e-4)
-        (found,) = wrong_distances(calibration.problem, calibration.linearised, calibration.noise_scale)
-        assert abs(found.measured - 0.05) < 2 * found.measured_std
     (rival,) = one.suspects[0].rivals
     assert (rival.kind, rival.name, int(np.argmax(rival.poses))) == ("offset", "panda_joint1", 20)
     true = solve(calibration_problem(machine, poses))
     assert not true.suspects
-    assert not list(wrong_distances(true.problem, true.linearised, true.noise_scale))
 
 
 @pytest.mark.slow
@@ -173,5 +169,5 @@ def test_a_gross_error_among_few_poses_is_named(row: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("row", range(2))
 def test_a_reading_that_opens_a_linkage_is_named_by_its_row(row: int) -> None:
-    with pytest.raises(SolverError, match=rf"data row {row + 1}: IPOPT failed: .* farthest from what the machine file"):
+    with pytest.raises(SolverError, match=rf"data row {row + 1}: the steps .* farthest from what the machine file"):
         read_by("backhoe", few("backhoe", 6), 6, bucket_cylinder__length=(row, 0.2))

@@ -22,8 +22,7 @@ from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
 from hydroopt.excitation.selection.goals import Goal
 from hydroopt.excitation.selection.knowledge import Knowledge
 from hydroopt.excitation.selection.measurements import LEVELLED, LOAD, LOADED, Measurement
-from hydroopt.excitation.selection.sequence import lack, sequence
-from hydroopt.excitation.selection.what_next import plan_next
+from hydroopt.excitation.selection.what_next import lack, plan_next, sequence
 from hydroopt.logs.poses import Poses
 from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.pose_table import simulate_poses
