@@ -35,7 +35,7 @@ from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programm
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import recent_model
 from hydroopt.simulation.simulate import sampling_rate
@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 
 def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
-                       priors: bool = False, logs: Sequence[AnyLog] = (), rate: float | None = None,
+                       priors: bool = False, logs: Sequence[Log] = (), rate: float | None = None,
                        resting: Mapping[str, float] | None = None, reserves: Reserves = DEFAULT,
                        known: UncertainParameters | None = None) -> ExcitationProblem:
     """The design of a motion with the most information on a machine's parameters, within its limits.
