@@ -24,6 +24,8 @@ parameters of an actuator's effort begin with.
 FRAME: tuple[Row, ...] = (("position", Kind.POSITION, ""), ("orientation", Kind.ORIENTATION, ""))
 DATUM: tuple[Row, ...] = (("offset", Kind.POSITION, ""), ("tilt", Kind.ORIENTATION, ""))
 ENDS: tuple[Row, ...] = tuple((f"{end}.pin", Kind.POSITION, f"{end}.") for end in ("barrel", "rod"))
+MEASURING = {"imus": FRAME, "targets": FRAME, "instruments": FRAME, "datums": DATUM}
+"""What measures poses, and its targets: the key of its table, and its rows."""
 DENAVIT_HARTENBERG: tuple[Row, ...] = (
     ("joint.theta", Kind.ANGLE), ("joint.d", Kind.LENGTH), ("joint.a", Kind.LENGTH), ("joint.alpha", Kind.ANGLE),
     ("joint.beta", Kind.ANGLE), ("pin", Kind.POSITION, "pin."))

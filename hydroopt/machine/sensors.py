@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import Literal, NamedTuple
 
@@ -83,13 +83,30 @@ class Sensor(Noun):
         noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
         return math.hypot(noise, self.resolution / math.sqrt(12))
 
-    def read(self, true: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Readings of true values (any shape), with noise, then in steps of the resolution."""
+    def read(self, true: NDArray[np.float64], rng: np.random.Generator | None) -> NDArray[np.float64]:
+        """Readings of true values (any shape), with noise, then in steps of the resolution; without `rng` the
+        true values."""
+        if rng is None:
+            return true
         half = self.accuracy
         noise = rng.uniform(-half, half, true.shape) if self.distribution == "uniform" else rng.normal(
             0.0, half, true.shape)
         read = true + noise
         return np.round(read / self.resolution) * self.resolution if self.resolution > 0 else read
+
+
+class Measuring(Noun):
+    """A part that poses are measured with, with channels of its own."""
+
+    name: Name
+    """Name of the part."""
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Its channels in a log or a table of poses, with their SI units; `targets` are the names of all targets."""
+        raise NotImplementedError
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """What a channel is measured with, where the part itself states it."""
 
 
 GYROSCOPE = ("gyro_x", "gyro_y", "gyro_z")
@@ -119,7 +136,7 @@ class Accelerometer(Noun):
     """Largest magnitude."""
 
 
-class Imu(Noun):
+class Imu(Measuring):
     """An inertial measurement unit on a link or on the base.
 
     Its channels are ``<name>.gyro_x`` to ``gyro_z`` and ``<name>.accel_x`` to ``accel_z`` along its own axes, and
@@ -133,8 +150,6 @@ class Imu(Noun):
     0.000707107
     """
 
-    name: Name
-    """Name of the unit."""
     link: str
     """Link that carries it, or `base`."""
     position: Lengths
@@ -155,6 +170,11 @@ class Imu(Noun):
         """The channels that it measures itself, without the inclination."""
         return (*(f"{self.name}.{axis}" for axis in GYROSCOPE if self.gyroscope),
                 *(f"{self.name}.{axis}" for axis in ACCELEROMETER if self.accelerometer))
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Those of `channels`, and of the inclination."""
+        return {channel: CHANNEL_UNITS[channel.rpartition(".")[2]][0]
+                for channel in (*self.channels, *(f"{self.name}.{angle}" for angle in INCLINATION))}
 
     def part(self, channel: str) -> Gyroscope | Accelerometer | None:
         """What measures a channel."""

@@ -93,9 +93,8 @@ def _angles(model: KinematicModel, planned: Poses) -> Array:
 def _touches(model: KinematicModel, planned: Poses) -> NDArray[np.str_]:
     """(N,) datum and target that meet, ``floor.tooth``; '' where none do."""
     touch = np.full(len(planned), "", dtype=object)
-    datums = {datum.name for datum in model.machine.datums}
     for each in model.measurements:
-        if each.name.partition(".")[0] in datums and each.channels[0] in planned.channels:
+        if each.tool == "datum" and each.channels[0] in planned.channels:
             touch[np.isfinite(planned.channels[each.channels[0]])] = each.name
     return touch.astype(np.str_)
 
