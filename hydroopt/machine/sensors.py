@@ -1,4 +1,4 @@
-"""What channels are measured with: sensors, inertial measurement units, usual sizes of their faults."""
+"""What channels are measured with: sensors, inertial measurement units, rangefinders, usual sizes of their faults."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from hydroopt.machine.quantity import (
     AngularRateDensity,
     Duration,
     ImpossibleError,
+    Length,
     Lengths,
     Name,
     Noun,
@@ -186,6 +187,64 @@ class Imu(Measuring):
             return None
         return Sensor(channels=(channel,), accuracy=part.noise * math.sqrt(self.rate / 2), rate=self.rate,
                       lag=self.lag, distribution="gaussian")
+
+
+class _Ranging(Sensor):
+    """What reads positive values up to the `largest`, and nothing else."""
+
+    largest: Length
+
+    def read(self, true: NDArray[np.float64], rng: np.random.Generator | None) -> NDArray[np.float64]:
+        """As of any sensor; NaN where nothing is read."""
+        return np.where((true > 0) & (true <= self.largest), super().read(true, rng), np.nan)
+
+
+class Rangefinder(Measuring):
+    """A laser on a link or on the base that reads the distance to the level ground, at the height `ground`.
+
+    Poses read in the column ``<name>.length`` how far the ground is along the beam; they read nothing where the beam
+    points away from it or its `range` ends before.
+
+    >>> Rangefinder(name="stick_laser", link="stick", position=(1, 0, 0), direction=(1, 0.1, 0), accuracy="2 mm",
+    ...             range="30 m").across
+    ('y', 'z')
+    """
+
+    link: str
+    """Link that carries it, or `base`."""
+    position: Lengths
+    """Where distances start (3,), in the frame in which pins of that link are stated."""
+    direction: tuple[Number, Number, Number]
+    """Direction of the beam there (3,), of any length. Its largest component is exact: the others turn the beam."""
+    accuracy: Length = Field(gt=0)
+    """Standard deviation of a reading."""
+    range: Length = Field(gt=0)
+    """Largest distance that it reads."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if not any(self.direction):
+            yield ImpossibleError(f"the beam of '{self.name}' has no direction", "state one other than zero",
+                                  "direction")
+
+    @property
+    def across(self) -> tuple[str, ...]:
+        """The two axes whose components of `direction` a calibration may change."""
+        sizes = dict(zip("xyz", map(abs, self.direction), strict=True))
+        return tuple(axis for axis in sizes if axis != max(sizes, key=sizes.__getitem__))
+
+    @property
+    def channel(self) -> str:
+        """What it reads."""
+        return f"{self.name}.length"
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """That of `channel`."""
+        return {self.channel: "m"}
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """Gaussian errors within its range."""
+        return _Ranging(channels=(channel,), accuracy=self.accuracy, distribution="gaussian",
+                        largest=self.range) if channel == self.channel else None
 
 
 class FaultSizes(Noun):

@@ -116,7 +116,8 @@ def inputs(machine: Machine) -> dict[str, int]:
 
 def measurements(frames: Frames) -> tuple[PoseRows, ...]:
     """The rows of all measurements that a sensor is stated for, beside joints, loops, cylinders and the tracked tip."""
-    kinds = (_positions, _orientations, _datum_offsets, _distances, _inclinations, _dependent_positions)
+    kinds = (_positions, _orientations, _datum_offsets, _distances, _inclinations, _dependent_positions,
+             _beams)
     return tuple(rows for kind in kinds for rows in kind(frames))
 
 
@@ -220,3 +221,14 @@ def _dependent_positions(frames: Frames) -> Iterator[PoseRows]:
         off = ca.SX(frames.joints[joint] - frames.inputs[channel])
         yield PoseRows(channel, "transducer", (channel,), unit,
                        ca.atan2(ca.sin(off), ca.cos(off)) if unit == "rad" else off, channel)
+
+
+def _beams(frames: Frames) -> Iterator[PoseRows]:
+    """(p − ground)·e_z / (−u·e_z): from a rangefinder's place p along its beam, a unit vector u, to the ground."""
+    machine, value = frames.geometry.machine, frames.geometry.value
+    for laser in machine.rangefinders:
+        pose, beam = frames.link(laser.link), ca.vertcat(*(
+            value.get(f"{laser.name}.direction.{axis}", laser.direction[k]) for k, axis in enumerate("xyz")))
+        height = pose.point(frames.geometry.point(laser.name))[2] - machine.ground
+        yield PoseRows(laser.channel, "transducer", (laser.channel,), "m",
+                       ca.SX(-height * ca.norm_2(beam) / (pose.rotation @ beam)[2]))
