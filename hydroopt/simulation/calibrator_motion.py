@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.model.attached_calibrator import AttachedCalibrator
-from hydroopt.simulation.postures import close, limits
+from hydroopt.simulation.postures import close
 from hydroopt.spatial.inertia import Array
 
 FREE = 1e3
@@ -61,8 +61,7 @@ def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,
     kinematics, fixture = attached.kinematics, attached.fixture
     n, r, N = q.shape[1], len(attached.joints), len(q)
     sensed = np.zeros(r, dtype=bool) if sensed is None or read is None else sensed
-    low, high = limits(kinematics)
-    start = np.tile(((low + high) / 2)[n:], (N, 1)) if read is None else np.array(read[0], dtype=float)
+    start = np.tile(kinematics.ranges.mean(axis=1)[n:], (N, 1)) if read is None else np.array(read[0], dtype=float)
     weight = np.where(sensed, 1.0, FREE if np.any(sensed) else 1.0)
     whole, nominal = np.hstack([q, start]), kinematics.parameters.nominal
     free = list(range(n, n + r))

@@ -116,9 +116,8 @@ def _of_log(chain: KinematicModel, log: Log) -> Poses:
 
 def _nearest(chain: KinematicModel, read: dict[str, Array]) -> str:
     """The fixture nearest to the tip (median over the samples); joints that were not read stand in their middle."""
-    middle = [np.mean(link.joint.range) for link in chain.links if link.name in chain.joints]
     q = np.column_stack([np.broadcast_to(read.get(f"{joint}.q", at), len(next(iter(read.values()))))
-                         for joint, at in zip(chain.joints, middle, strict=True)])
+                         for joint, at in zip(chain.joints, chain.ranges.mean(axis=1), strict=True)])
     tip = np.nanmedian(chain.over(chain.tip, chain.parameters.nominal, q)[0][:, :, 0], axis=0)
     return min(chain.machine.fixtures, key=lambda fixture: float(np.linalg.norm(tip - fixture.position))).name
 

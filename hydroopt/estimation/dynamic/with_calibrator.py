@@ -15,7 +15,6 @@ from hydroopt.model.attached_calibrator import AttachedCalibrator
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.simulation.calibrator_motion import CalibratorMotion, follow
-from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
 
@@ -39,10 +38,10 @@ def attached_calibrator(model: Model, log: Log, motion: Motion, smoothing: Smoot
                            where=where, remedy=f"state the fixture, or leave out {', '.join(sorted(channels))}")
     kinematics, n = KinematicModel(machine), len(machine.joints)
     joints = kinematics.joints[n:]
-    low, high = (bound[n:] for bound in limits(kinematics))
     sensed = np.array([f"{joint}.q" in channels for joint in joints])
+    middles = kinematics.ranges.mean(axis=1)[n:]
     angles = np.column_stack([log.channel(f"{joint}.q") if there else np.full(log.size, middle)
-                              for joint, there, middle in zip(joints, sensed, (low + high) / 2, strict=True)])
+                              for joint, there, middle in zip(joints, sensed, middles, strict=True)])
     sensors = [machine.sensor(f"{joint}.q") for joint in joints]
     noise = np.array([sensor.std if sensor else np.nan for sensor in sensors])
     read = np.zeros((3, *angles.shape))

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from hydroopt.estimation.kinematic.observability import FARTHEST
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.model.least_squares_by_sample import nearest
-from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
 TIGHT = 1e-11
@@ -38,7 +37,7 @@ def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
     unread = layout.moving.any(axis=1)
     loops_only = bool(np.all(layout.held[unread]))  # the gap determines the angle, and is quicker than all rows
     function, count = (model.loop, model.loop_rows) if loops_only else (model.observed, layout.present.shape[1])
-    low, high = limits(model)
+    low, high = model.ranges.T
     for joints, rows, shares in _tries(function, moving, np.asarray(layout.present[unread, :count].any(axis=0))):
         before, least = best.copy(), np.full(len(best), np.inf)
         for share in shares:
