@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from collections.abc import Callable
 
 import hypothesis
 import pytest
@@ -44,3 +45,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def _docstring_runs_in_an_empty_folder(request: pytest.FixtureRequest) -> None:
     if isinstance(request.node, pytest.DoctestItem):
         request.getfixturevalue("monkeypatch").chdir(request.getfixturevalue("tmp_path"))
+
+
+@pytest.fixture
+def in_pieces(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Sets how many samples of a log are a piece."""
+    def pieces(samples: int) -> None:
+        for module in ("logs.log", "logs.treatment", "estimation.dynamic.experiment"):
+            monkeypatch.setattr(f"hydroopt.{module}.PIECE", samples)
+    return pieces

@@ -23,7 +23,7 @@ html_title = f"hydroopt {release}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 autodoc_typehints_format = "short"
-autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Indices", "Expression", "Smoothing", "AnyLog")}
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Indices", "Expression", "Smoothing")}
 autodoc_preserve_defaults = True
 napoleon_attr_annotations = False
 autodoc_member_order = "bysource"

@@ -59,7 +59,6 @@ from .logs.smoothing import Butterworth as Butterworth
 from .logs.smoothing import Fourier as Fourier
 from .logs.smoothing import SmoothingSpline as SmoothingSpline
 from .logs.smoothing import TwoWeights as TwoWeights
-from .logs.stream import open_log as open_log
 from .machine.machine import Machine as Machine
 from .machine.machine_file import bundled as bundled
 from .machine.machine_file import dump_machine as dump_machine

@@ -27,7 +27,7 @@ def main() -> None:
     os.environ.setdefault(PLUGINS, "1")
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it lets Ctrl-C be ignored
         signal.signal(signal.SIGINT, _end)
-    from hydroopt import interrupt, memory  # noqa: PLC0415
+    from hydroopt.support import interrupt, memory  # noqa: PLC0415
 
     if memory.limit() < memory.LEAST:
         sys.stderr.write(f"hydroopt: memory: this process may use {memory.limit() / 1e6:.0f} MB; raise the limit "

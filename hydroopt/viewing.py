@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
-from hydroopt.files import write_files
+from hydroopt.support.files import write_files
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine

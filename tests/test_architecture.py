@@ -13,10 +13,9 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("errors", "interrupt", "memory", "progress"),
-    ("packages", "processes"),
-    ("input_file", "files", "units", "notebook_card"),
-    ("cache",),
+    ("errors",),
+    ("units",),
+    ("support",),
     ("spatial",),
     ("kernels",),
     ("machine",),
@@ -55,7 +54,7 @@ QUARANTINE = {
     "pint": ("units",),
     "pyarrow": ("logs",),
     "typer": ("cli",),
-    "filelock": ("files",),
+    "filelock": ("support.files",),
     "rich": ("cli",),
     "plotext": ("guided.drawing",),
     "pandas": ("logs", "results"),

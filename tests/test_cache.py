@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hydroopt import cache
+from hydroopt.support import cache
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import hydroopt
-from hydroopt.packages import DISTRIBUTION, version
+from hydroopt.support.packages import DISTRIBUTION, version
 
 ROOT = Path(__file__).parents[1]
 STEM = f"{DISTRIBUTION.replace('-', '_')}-{version()}"

@@ -16,9 +16,9 @@ from pathlib import Path
 import filelock  # noqa: F401 (whose files would be opened in a child that counts)
 import pytest
 
-from hydroopt import files
 from hydroopt.errors import ProblemError
-from hydroopt.files import BusyError, claimed, write_file, write_files
+from hydroopt.support import files
+from hydroopt.support.files import BusyError, claimed, write_file, write_files
 
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="kills and locks of POSIX"),
               pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
@@ -228,7 +228,7 @@ def test_links_in_place_of_the_own_files_lead_to_no_change_elsewhere(tmp_path: P
 
 def test_a_deleted_working_directory_is_refused_at_once(tmp_path: Path) -> None:
     script = f"mkdir {tmp_path}/gone; cd {tmp_path}/gone; rmdir {tmp_path}/gone; {sys.executable} -c '{{}}'"
-    program = "from hydroopt.files import claimed; claimed(\"out\").__enter__()"
+    program = "from hydroopt.support.files import claimed; claimed(\"out\").__enter__()"
     done = subprocess.run(["bash", "-c", script.format(program)], capture_output=True, text=True, check=False,
                           timeout=60)
     assert done.stderr.endswith("out: cannot be written (No such file or directory); choose another "
@@ -256,7 +256,7 @@ def test_where_no_other_folder_can_be_written_temporary_files_lie_in_it_until_th
 import os, tempfile
 from pathlib import Path
 tempfile._candidate_tempdir_list = list  # as on a system that is read-only but for one folder
-from hydroopt.files import temporary_files
+from hydroopt.support.files import temporary_files
 temporary_files(Path({str(tmp_path)!r}))
 place = Path(tempfile.mkdtemp())
 print(os.environ["TMPDIR"] == str(place.parent), place.parent.parent)

@@ -9,20 +9,19 @@ from pathlib import Path
 import pytest
 
 from hydroopt.errors import LONGEST, HydrooptError, LogError, MachineError, ProblemError
-from hydroopt.input_file import read_bytes, read_json, read_text, similar, toml
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import ColumnMap, LogMap, read_map
 from hydroopt.logs.log_files import read_log
-from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.results.answer import load
+from hydroopt.support.input_file import read_bytes, read_json, read_text, similar, toml
 
 
 @pytest.mark.parametrize("read", [
     lambda file: load_machine(file.with_suffix(".toml")), lambda file: load_machine(file.with_suffix(".urdf")),
     lambda file: read_map(file.with_suffix(".toml")), lambda file: read_log(file.with_suffix(".csv")),
     lambda file: read_log(file.with_suffix(".mat"), mapping=LogMap(columns={"t": ColumnMap(variable="t", unit="s")})),
-    lambda file: open_log(file.with_suffix(".parquet"))],
+    lambda file: read_log(file.with_suffix(".parquet"))],
     ids=["machine", "URDF", "map", "CSV", "MAT", "Parquet"])
 def test_pipes_directories_and_impossible_paths_are_refused_at_once(tmp_path, read):
     for suffix in (".toml", ".urdf", ".csv", ".mat", ".parquet"):

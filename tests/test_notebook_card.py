@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
-from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.support.notebook_card import Card, CardTable, Shown
 
 VOID = {"br", "meta", "img"}
 

@@ -16,7 +16,7 @@ import rattler_build
 import yaml
 
 import hydroopt as ho
-from hydroopt.packages import DISTRIBUTION, EXTRAS, needed
+from hydroopt.support.packages import DISTRIBUTION, EXTRAS, needed
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

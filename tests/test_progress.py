@@ -13,7 +13,7 @@ from hydroopt.excitation.selection.exchange import fedorov_exchange
 from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.progress import Progress
+from hydroopt.support.progress import Progress
 
 LIFT = "patu655_lift"
 

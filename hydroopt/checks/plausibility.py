@@ -10,12 +10,10 @@ from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agr
 from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.checks.sensors import beyond_relief, held_sensors, scattering, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.channels import is_force
 from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
-from hydroopt.logs.stream import LogStream
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 
@@ -47,7 +45,7 @@ OTHER_RATE = 1.5
 """Ratio of the sampling rate to the stated one that is worth a diagnostic."""
 
 
-def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
+def examine(model: Model, log: Log) -> tuple[Diagnostic, ...]:
     """What contradicts the machine file in a log as it is read, with the reading that would agree, if there is one.
 
     Nothing is corrected. A mistake is named only if the log read otherwise agrees far better: with less than half of
@@ -58,7 +56,7 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
 
     Args:
         model: the machine.
-        log: in memory, or read in pieces, of which a sample is examined.
+        log: of which a sample is examined, if it is long.
 
     >>> from dataclasses import replace
     >>> from hydroopt.machine.machine_file import load_machine
@@ -73,7 +71,7 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     """
     if calibrator_channels(model.machine, log):
         return ()
-    held = log if isinstance(log, Log) else _sample(model, log)
+    held = log.sampled(angle_channels(model, log))
     where = log.path or log.name
     repeated = held_sensors(model.machine, held, where) if held is log else ()
     stuck = (*stuck_sensors(model.machine, held, where), *repeated)
@@ -92,7 +90,7 @@ def misread(channels: Sequence[str], evidence: Mapping[str, object]) -> Diagnost
         Meaning.REFUTATION)
 
 
-def misread_error(model: Model, log: AnyLog) -> LogError | None:
+def misread_error(model: Model, log: Log) -> LogError | None:
     """The likeliest mistake in a log's units, signs, channels or clock as an error; None where none is found."""
     try:
         found = of_kind(examine(model, log), LOG_MISREAD)
@@ -109,11 +107,6 @@ def contradiction(misread: Diagnostic) -> str:
 def remedy_of(misread: Diagnostic) -> str:
     """Its remedy as the end of an error's sentence."""
     return misread.remedy[0].lower() + misread.remedy[1:].rstrip(".")
-
-
-def _sample(model: Model, log: AnyLog) -> Log:
-    assert isinstance(log, LogStream)
-    return log.sample(sorted(angle_channels(model, log)))
 
 
 def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[str, object]]], Log]:

@@ -14,10 +14,10 @@ from typing import Annotated, Any, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from hydroopt import interrupt, memory
 from hydroopt.cli.command import Command, off_unless_given
 from hydroopt.cli.terminal import WORDS, echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
+from hydroopt.support import interrupt, memory
 
 JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
         "Measure": ("what-next", "excite", "plan-poses", "measure-up", "design-calibrator", "plan-valve-test",
@@ -132,7 +132,7 @@ app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from hydroopt.packages import version
+        from hydroopt.support.packages import version
 
         echo(f"hydroopt {version()}")
         raise typer.Exit

@@ -25,12 +25,11 @@ def calibrate_sensors(
     """
     from hydroopt.estimation.motion.problem import sensor_problem
     from hydroopt.estimation.motion.sensor_calibration import METHOD
-    from hydroopt.logs.log_files import read_log
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
-    problem = sensor_problem(run.machine, run.read(read_log, logs), [read_pose_files(poses)] if poses else (),
+    problem = sensor_problem(run.machine, run.read(logs), [read_pose_files(poses)] if poses else (),
                              geometry=geometry)
     with (run.progress(f"fitting motion and sensors of {run.machine.name} to all readings") as say,
           run.failure_saved(Job.SENSORS, METHOD)):

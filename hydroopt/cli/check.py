@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hydroopt.checks.motion import MotionCheck
     from hydroopt.checks.postures import PostureCheck
     from hydroopt.estimation.dynamic.log_check import LogCheck
-    from hydroopt.logs.any_log import AnyLog
+    from hydroopt.logs.log import Log
     from hydroopt.machine.machine import Machine
 
 
@@ -44,16 +44,14 @@ def check(
     from hydroopt.checks.postures import check_postures
     from hydroopt.estimation.dynamic.log_check import check_logs
     from hydroopt.excitation.motion.expected_accuracy import identified
-    from hydroopt.logs.log_files import read_log
     from hydroopt.logs.poses import is_pose_table, read_poses
-    from hydroopt.logs.stream import open_log
 
     described, reserves = run.machine, run.reserves
     found: LogCheck | MotionCheck | PostureCheck
     with run.progress(f"checking {described.name}") as say:
         say("reading logs", 0.0)
         poses = all(is_pose_table(path) for path in logs)
-        read = [] if poses else run.read(open_log, logs)
+        read = [] if poses else run.read(logs)
         say("smoothing and weighting", 0.2)
         if poses:
             refuse_given({"--estimate": estimate, "--treat": run.treat, "--bandwidth": run.bandwidth},
@@ -62,7 +60,7 @@ def check(
                                    reserves=reserves)
         elif not _have_forces(described, read):
             known = None if estimate is None else identified(described, estimate)
-            found = check_motion(described, run.read(read_log, logs), reserves=reserves, known=known)
+            found = check_motion(described, read, reserves=reserves, known=known)
         else:
             refuse_given({"--reserve": run.reserve, "--estimate": estimate},
                          "these logs have forces: they are checked for an identification",
@@ -104,7 +102,7 @@ def _answered(run: Run, found: LogCheck | MotionCheck | PostureCheck, logs: Sequ
                           remedy="leave these poses out, or correct the limits in the machine file")
 
 
-def _have_forces(machine: Machine, logs: Sequence[AnyLog]) -> bool:
+def _have_forces(machine: Machine, logs: Sequence[Log]) -> bool:
     """Whether any log has a channel of an actuator's force, torque or pressure."""
     of_forces = {channel for each in machine.actuators for channel in each.effort_factors}
     return any(channel in of_forces for log in logs for channel in log.channels)

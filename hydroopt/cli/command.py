@@ -57,7 +57,7 @@ class Command(TyperCommand):
         output = ctx.params.get("output")
         if output is None:
             return super().invoke(ctx)
-        from hydroopt.files import claimed, temporary_files
+        from hydroopt.support.files import claimed, temporary_files
 
         with claimed(output) as claim:
             _refuse_inputs(self, ctx.params)

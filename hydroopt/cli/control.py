@@ -59,12 +59,12 @@ def control(
     from hydroopt.control.comparison import FEEDFORWARD, compare
     from hydroopt.control.draws import draws
     from hydroopt.control.setting import COMPLETE, ModelVariant, Setting, nominal_of, rate_of, reduced, truth
-    from hydroopt.files import refuse_places
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
     from hydroopt.simulation.reference_motion import reference_motion
+    from hydroopt.support.files import refuse_places
 
     kinds = tuple(controller or UNASKED)
     for kind in kinds:

@@ -36,10 +36,10 @@ def convert(
     Example: hydroopt convert robot.urdf robot.toml
     """
     from hydroopt.codegen.parameter_source import read
-    from hydroopt.files import write_files
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES, load_machine
     from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
     from hydroopt.machine.robot_formats.writing import robot_files
+    from hydroopt.support.files import write_files
 
     machine = run.named
     robot = read_robot(machine, tip=tip) if Path(machine).suffix in ROBOT_SUFFIXES else None
@@ -70,9 +70,9 @@ def _on_cylinders(robot: RobotFile, machine: str, file: Path | None,
                   target: Path) -> tuple[Machine, dict[str, str], tuple[str, ...]]:
     """The machine on the cylinders of a file and of those asked for, the latter as a file to be written, and what is
     lost of the drives that they replace."""
-    from hydroopt.input_file import read_text, toml
     from hydroopt.machine.machine_file import dump_tables
     from hydroopt.machine.robot_formats.cylinder_drives import with_cylinders
+    from hydroopt.support.input_file import read_text, toml
 
     if file is not None:
         stated = toml(read_text(file, MachineError, noun="file of cylinders"), MachineError, where=str(file))

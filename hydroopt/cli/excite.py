@@ -83,11 +83,11 @@ def excite(
     from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import excitation_problem
     from hydroopt.excitation.motion.expected_accuracy import identified
-    from hydroopt.files import refuse_places
-    from hydroopt.logs.stream import open_log
+    from hydroopt.logs.log_files import read_log
     from hydroopt.report.excitation import render_sheet
     from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
+    from hydroopt.support.files import refuse_places
     from hydroopt.units import to_si
 
     if pieces is not None:
@@ -106,7 +106,7 @@ def excite(
                            remedy="give more than 0 and at most 100 %, such as '50 %'")
     start_of(described, standing, np.zeros(len(described.joints)))  # refused before the search
     with run.progress(f"stating limits and information of {described.name}'s motion") as say:
-        logs = [open_log(path, mapping=run.map_file) for path in log or ()]
+        logs = [read_log(path, mapping=run.map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting, reserves=run.reserves,
                                      known=None if estimate is None else identified(described, estimate))

@@ -69,7 +69,6 @@ def identify(
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.identify import METHODS
     from hydroopt.estimation.dynamic.problem import identification_problem
-    from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import dump_machine
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
@@ -83,7 +82,7 @@ def identify(
         raise ProblemError("geometry cannot be estimated while friction terms are chosen", where="--with-geometry",
                            remedy="choose them first, and give the chosen set")
     described, smoothing = run.machine, run.smoothing
-    train, held_out = run.parted(open_log, logs, validate, holdout)
+    train, held_out = run.parted(logs, validate, holdout)
     kind, far, full = one_of(loss, LOSSES, "loss"), one_of(distance, DISTANCES, "distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:

@@ -19,11 +19,10 @@ def identify_valves(
     """
     from hydroopt.estimation.hydraulic.estimate import METHOD
     from hydroopt.estimation.hydraulic.problem import hydraulic_problem
-    from hydroopt.logs.log_files import read_log
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
-    problem = hydraulic_problem(run.machine, *run.parted(read_log, logs, validate, holdout))
+    problem = hydraulic_problem(run.machine, *run.parted(logs, validate, holdout))
     with (run.progress(f"adjusting the volume balances of {run.machine.name}") as say,
           run.failure_saved(Job.HYDRAULICS, METHOD, lambda: problem.inputs)):
         estimate = run.saved(solve(problem), say)

@@ -31,9 +31,9 @@ def map(
 
     Example: hydroopt map log.csv cat215b --to map.toml
     """
-    from hydroopt.files import write_file
     from hydroopt.logs.map_proposal import propose_map
     from hydroopt.machine.machine_file import load_machine
+    from hydroopt.support.files import write_file
 
     if to is not None and os.path.exists(to):
         raise ProblemError("there is such a file already", where=str(to), remedy="name another one, or remove it")

@@ -99,7 +99,7 @@ class Dialogue:
             ProblemError: one of them cannot be taken, or belongs to no question.
         """
         from hydroopt.guided.question import TYPICAL, AnswerError
-        from hydroopt.input_file import similar
+        from hydroopt.support.input_file import similar
 
         while (question := self.sketch.open) is not None:
             try:
@@ -169,8 +169,8 @@ class Dialogue:
 
     def _keep(self) -> None:
         """Keep the answers and draw the page."""
-        from hydroopt.files import write_file
         from hydroopt.guided.drawing import page
+        from hydroopt.support.files import write_file
 
         lines = [f'kind = "{self.sketch.kind.name}"', *(f'"{key}" = "{text}"'
                                                         for key, text in self.sketch.answers.items())]
@@ -179,11 +179,11 @@ class Dialogue:
 
     def _written(self) -> bool:
         """Write the machine file if a machine can be like that; else say why not, and ask again."""
-        from hydroopt.files import write_file
         from hydroopt.guided.drawing import page
         from hydroopt.guided.machine_text import machine_text
         from hydroopt.guided.plane import OpenError
         from hydroopt.machine.machine_file import read_machine
+        from hydroopt.support.files import write_file
 
         try:
             text = machine_text(self.sketch)
@@ -219,7 +219,7 @@ def _read(file: Path) -> dict[str, str]:
     Raises:
         ProblemError: the file is not a table of texts.
     """
-    from hydroopt.input_file import read_text, toml
+    from hydroopt.support.input_file import read_text, toml
 
     content = toml(read_text(file, ProblemError, noun="file of answers"), ProblemError, where=str(file))
     wrong = [key for key, value in content.items() if not isinstance(value, str)]

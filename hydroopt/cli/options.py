@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,12 +14,10 @@ from hydroopt.machine.bundled_files import bundled_files
 
 if TYPE_CHECKING:
     from hydroopt.limits.reserves import Reserves
-    from hydroopt.logs.any_log import AnyLog
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
 
-L = TypeVar("L", bound="AnyLog")
 
 def _machines(incomplete: str) -> list[str]:
     """Bundled machines whose names begin so, for the completion of a shell."""

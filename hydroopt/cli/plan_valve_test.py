@@ -22,8 +22,8 @@ def plan_valve_test(
     Example: hydroopt plan-valve-test cat215b -o out/test
     """
     from hydroopt.control.valve_test import valve_test
-    from hydroopt.files import write_files
     from hydroopt.model.plant import Plant
+    from hydroopt.support.files import write_files
 
     test = valve_test(Plant(run.machine), seconds=per_actuator)
     sheet = test.sheet()

@@ -18,11 +18,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hydroopt.cli import options
 from hydroopt.cli.terminal import WORDS, echo
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.progress import Progress, silent
+from hydroopt.support.progress import Progress, silent
 
 if TYPE_CHECKING:
     from hydroopt.limits.reserves import Reserves
-    from hydroopt.logs.any_log import AnyLog
     from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from hydroopt.results.answer import Answer
     from hydroopt.results.json_file import Job
 
-L = TypeVar("L", bound="AnyLog")
 SomeAnswer = TypeVar("SomeAnswer", bound="Answer")
 SHARED: dict[str, Any] = {
     "output": options.Directory, "map_file": options.MapFile, "treat": options.Treat,
@@ -89,16 +87,17 @@ class Run:
         """Values [SI] at which parameters are held."""
         return options.parameter_values(self.fix or (), parameters)
 
-    def read(self, reader: Callable[..., L], paths: Sequence[Path] | None) -> list[L]:
+    def read(self, paths: Sequence[Path] | None) -> list[Log]:
         """Logs, each with the same map, treatment and pressure limits."""
-        given = {"mapping": self.map_file, "treatment": options.treatment_of(self.treat),
-                 "limits": options.reliefs(self.machine)}
-        return [reader(path, **given) for path in paths or ()]
+        from hydroopt.logs.log_files import read_log
 
-    def parted(self, reader: Callable[..., L], train: Sequence[Path], validation: Sequence[Path] | None,
-               holdout: float) -> tuple[list[L], list[L]]:
+        treatment, limits = options.treatment_of(self.treat), options.reliefs(self.machine)
+        return [read_log(path, mapping=self.map_file, treatment=treatment, limits=limits) for path in paths or ()]
+
+    def parted(self, train: Sequence[Path], validation: Sequence[Path] | None,
+               holdout: float) -> tuple[list[Log], list[Log]]:
         """Training logs without the part of their end that is held out, and validation logs with it."""
-        logs, others = self.read(reader, train), self.read(reader, validation)
+        logs, others = self.read(train), self.read(validation)
         if not holdout:
             return logs, others
         pairs = [log.split(1 - holdout) for log in logs]
@@ -111,10 +110,8 @@ class Run:
             ProblemError: there is a directory beside other paths.
             LogError: a log cannot be read.
         """
-        from hydroopt.logs.log_files import read_log
-
         if not any(os.path.isdir(path) for path in paths):
-            return self.read(read_log, paths)
+            return self.read(paths)
         if len(paths) > 1:
             raise ProblemError("a directory stands for a whole session", where=option,
                                remedy="give one directory, or logs only")

@@ -145,11 +145,11 @@ def _position(each: dict[str, Any]) -> str:
 
 
 def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
-    from hydroopt.files import write_files
     from hydroopt.model.model import recent_model
     from hydroopt.model.over_range import lever_arms, transmission_ratios
     from hydroopt.model.vertical_plane import limit_postures
     from hydroopt.report import machine as report
+    from hydroopt.support.files import write_files
 
     model = recent_model(machine)
     facts = facts | {"linkages": [each | {"ratios": _ratios(each)} for each in facts["linkages"]]}
@@ -165,12 +165,12 @@ def _ratios(linkage: dict[str, Any]) -> str:
 
 
 def _hydraulics(run: Run, output: Path | None) -> None:
-    from hydroopt.files import write_files
     from hydroopt.model.model import recent_model
     from hydroopt.model.plant import Plant
     from hydroopt.model.workspace import sweeps
     from hydroopt.report import hydraulics as workspace
     from hydroopt.results.tables import csv_text as csv
+    from hydroopt.support.files import write_files
 
     model = recent_model(run.machine)
     plant = Plant(model)

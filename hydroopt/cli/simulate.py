@@ -57,7 +57,6 @@ def simulate(
 
     Example: hydroopt simulate cat215b --truth random -o out/run
     """
-    from hydroopt.files import write_files
     from hydroopt.logs.log_files import read_log
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
@@ -65,6 +64,7 @@ def simulate(
     from hydroopt.simulation import drive_valves
     from hydroopt.simulation import simulate as simulation
     from hydroopt.simulation.reference_motion import reference_motion
+    from hydroopt.support.files import write_files
 
     described, seed = run.machine, run.seed
     one_of(truth, ("nominal", "random"), "truth")
@@ -139,10 +139,10 @@ def _tested(plant: Plant, psi: Array, theta: Array, rate: float | None, *, noise
 
 def _poses(run: Run, file: Path, *, random: bool, noise: bool, truth_seed: int | None, parquet: bool) -> str:
     """Simulate and write a table of poses, with the truth; returns what to print."""
-    from hydroopt.files import write_files
     from hydroopt.logs.poses import read_poses
     from hydroopt.model.closed_chain import KinematicModel
     from hydroopt.simulation.pose_table import simulate_poses
+    from hydroopt.support.files import write_files
 
     machine = run.machine
     found = simulate_poses(KinematicModel(machine), read_poses(file, mapping=run.map_file), random=random, noise=noise,

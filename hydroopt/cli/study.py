@@ -99,10 +99,9 @@ def bootstrap(
     """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
     def prepare(described: Machine) -> tuple[Study, Summary]:
         from hydroopt.estimation.dynamic.identify import METHODS
-        from hydroopt.logs.log_files import read_log
         from hydroopt.study import bootstrap as study
 
-        read = run.read(read_log, logs)
+        read = run.read(logs)
         return study.bootstrap(described, read, cells=cells, seed=run.seed,
                                method=one_of(method, METHODS, "method")), study.summary
 

@@ -54,7 +54,6 @@ def weigh(
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
     from hydroopt.codegen.folder import scale_code
-    from hydroopt.logs.log_files import read_log
     from hydroopt.model.model import Model
     from hydroopt.units import to_si
     from hydroopt.weighing import weighing
@@ -82,11 +81,11 @@ def weigh(
         for k, text in enumerate(known or ()):
             mass, file = _known(text)
             say(f"learning from the known load of {mass}", (1 + k) / steps)
-            made = weighing.learned(made, run.read(read_log, [file])[0], size(mass, "kg", "--known"),
+            made = weighing.learned(made, run.read([file])[0], size(mass, "kg", "--known"),
                                     size(known_sigma, "kg", "--known-sigma"))
         made = made.on_slope(*tilt)
         say(f"weighing along {', '.join(each.name for each in logs)}", (steps - 2) / steps)
-        found = weighing.weigh(made, run.read(read_log, logs), tare=size(tare, "s", "--tare"),
+        found = weighing.weigh(made, run.read(logs), tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
         written = {} if not code else scale_code(
             found.scale, found.logs[0].equations.smoothed.kernel.step, needed=found.needed, single=float32,

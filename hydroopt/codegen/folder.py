@@ -22,16 +22,16 @@ from hydroopt.codegen.scale_tables import ROUTINES as OF_SCALES
 from hydroopt.codegen.sizes import sizes
 from hydroopt.codegen.symbols import Field, Routine, Struct
 from hydroopt.errors import ProblemError
-from hydroopt.files import write_files
-from hydroopt.input_file import JSON_LIMIT, read_bytes
 from hydroopt.kernels.c_writer import Naming, literal, quick, statements
 from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.machine.machine import Machine
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.plant import Plant
-from hydroopt.packages import version
-from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.files import write_files
+from hydroopt.support.input_file import JSON_LIMIT, read_bytes
+from hydroopt.support.packages import version
+from hydroopt.support.progress import Progress, silent
 from hydroopt.weighing.scale import Scale
 from hydroopt.weighing.weighing import NEEDED
 

@@ -14,8 +14,8 @@ from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.kernels.virtual_machine import OneSample
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
-from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 REPORTED = 200
 """Samples after which progress is reported."""

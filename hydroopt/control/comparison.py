@@ -29,7 +29,6 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
-from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
@@ -39,6 +38,7 @@ from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 METHOD = "simulation of closed loops"
 PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
@@ -398,7 +398,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         setting: machine, motion and truth.
         variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: the motion demands more than pump or valves give, the base moves in it, or a loop

@@ -18,10 +18,10 @@ from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.hydraulic.estimate import identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.logs.smoothing import SmoothingSpline
-from hydroopt.progress import Progress, silent
 from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.simulation.simulate import random_truth
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 
 class Draw(NamedTuple):

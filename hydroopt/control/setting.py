@@ -17,7 +17,6 @@ from hydroopt.control.reference import Demands, Reference, steady_speeds
 from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
-from hydroopt.input_file import read_json
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
@@ -29,6 +28,7 @@ from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.input_file import read_json
 
 NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
 MOTION_POINTS = 6

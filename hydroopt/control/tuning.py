@@ -18,8 +18,8 @@ from hydroopt.control.linear_plant import Point
 from hydroopt.control.loops import STANDING, frequencies, response, responses
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
-from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 SENSITIVITY = 1.6
 """Largest sensitivity |1/(1 + L)| of a loop: 1.6 keeps a gain margin of 8.5 dB and a phase margin of 36 degrees."""

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hydroopt import cache
+from hydroopt.support import cache
 
 LEVEL = "-O1"
 """Level of optimisation of what is written for a machine, whose expressions are simple already: `-O3` takes 1.4 times

@@ -9,9 +9,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from hydroopt import cache
 from hydroopt.kernels.expression_graph import program
 from hydroopt.spatial.inertia import Array
+from hydroopt.support import cache
 
 LONG = 200
 """Operations of a function below which it is not worth a file."""

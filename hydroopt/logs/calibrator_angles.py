@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 
 
-def calibrator_channels(machine: Machine, log: AnyLog) -> set[str]:
+def calibrator_channels(machine: Machine, log: Log) -> set[str]:
     """The channels of a log that hold angles of the calibrator's joints; none where the calibrator has no bodies.
 
     >>> import hydroopt as ho

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.notebook_card import CardTable, figure
+from hydroopt.support.notebook_card import CardTable, figure
 from hydroopt.units import UnitError, factor, in_print
 
 FORCES = frozenset({"force", "tau", "p_head", "p_rod", "p_a", "p_b"})

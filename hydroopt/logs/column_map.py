@@ -15,10 +15,10 @@ from pydantic import (
 )
 
 from hydroopt.errors import HydrooptError, LogError
-from hydroopt.input_file import read_text, toml
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.stamps import of_texts
+from hydroopt.support.input_file import read_text, toml
 from hydroopt.units import to_si
 
 Key = str | int

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.logs.quality import Finding
 from hydroopt.machine.machine import Machine
 
@@ -16,7 +16,7 @@ TANK = 1e6
 """Pressure [Pa] below which one chamber may be constant, because it is open to the tank."""
 
 
-def without_dead_channels(machine: Machine, log: AnyLog) -> AnyLog:
+def without_dead_channels(machine: Machine, log: Log) -> Log:
     """A log without channels that hold no number and forces that are dead, and a finding of each.
 
     A force is dead if it never changes although the joint of its actuator moves. One pressure of two, below 10 bar, may

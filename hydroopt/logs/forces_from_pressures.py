@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.lag import slowed
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.readings import reading
@@ -18,7 +17,7 @@ POSTURES = 200
 """Number of postures over which lever arms are averaged."""
 
 
-def _force_channels(model: Model, log: AnyLog | None, actuator: Actuator) -> Mapping[str, float]:
+def _force_channels(model: Model, log: Log | None, actuator: Actuator) -> Mapping[str, float]:
     """The channels that an actuator's force is read from, with their factors; pressures where there is no log."""
     # where several drive a joint, its torque is that of all together
     direct = (f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{actuator.joint}.tau"
@@ -29,7 +28,7 @@ def _force_channels(model: Model, log: AnyLog | None, actuator: Actuator) -> Map
     return parts
 
 
-def absent_forces(model: Model, log: AnyLog) -> dict[str, tuple[str, ...]]:
+def absent_forces(model: Model, log: Log) -> dict[str, tuple[str, ...]]:
     """The channels that a log lacks of each measured actuator whose force it therefore does not tell.
 
     >>> from hydroopt.machine.machine_file import load_machine
@@ -46,21 +45,21 @@ def absent_forces(model: Model, log: AnyLog) -> dict[str, tuple[str, ...]]:
             if (lacking := tuple(channel for channel in channels if channel not in log.channels))}
 
 
-def _measured_parts(model: Model, log: AnyLog) -> list[Mapping[str, float]]:
+def _measured_parts(model: Model, log: Log) -> list[Mapping[str, float]]:
     """Of each actuator the channels that its force is read from, with their factors; none of an unmeasured one."""
     measured = model.machine.measured_actuators
     return [_force_channels(model, log, actuator) if actuator in measured else {}
             for actuator in model.machine.actuators]
 
 
-def _lags(model: Model, log: AnyLog) -> Array:
+def _lags(model: Model, log: Log) -> Array:
     """Time constants (a,) [s] of the actuators' forces, where several share the load of a joint one for all."""
     found = np.array([max((model.machine.lag(channel).value for channel in parts), default=0.0)
                       for parts in _measured_parts(model, log)])
     return found if model.machine.one_each else np.full_like(found, found.max())
 
 
-def force_lags(model: Model, log: AnyLog) -> Array:
+def force_lags(model: Model, log: Log) -> Array:
     """Time constants (r,) [s] with which the balances' measured forces lag, by the sensors of the machine file: for
     each the longest of the channels that it is read from."""
     found = _lags(model, log)
@@ -101,7 +100,7 @@ def forces(model: Model, log: Log, q: Array) -> Array:
     return np.asarray(made)
 
 
-def force_noise(model: Model, log: AnyLog | None = None) -> Array:
+def force_noise(model: Model, log: Log | None = None) -> Array:
     """Standard deviation (r,) of each measured force from its sensors' accuracy; NaN where the file states none, and of
     passive joints, whose force is known exactly.
 
@@ -141,7 +140,7 @@ def pressures(model: Model, log: Log) -> Array | None:
                             for actuator in machine.actuators]) if pressed else None
 
 
-def force_channels(model: Model, log: AnyLog) -> set[str]:
+def force_channels(model: Model, log: Log) -> set[str]:
     """The channels that forces, and the pressures on seals, are read from."""
     parts = (*(_force_channels(model, log, each) for each in model.machine.measured_actuators),
              *_sealing_channels(model).values())

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
 from hydroopt.machine.machine import Machine
@@ -30,7 +29,7 @@ class _Sources(NamedTuple):
     beside: tuple[str, ...]
 
 
-def _sources(model: Model, log: AnyLog) -> _Sources:
+def _sources(model: Model, log: Log) -> _Sources:
     machine, followed = model.machine, model.machine.followed
     missing = {joint for joint in machine.joints if f"{joint}.q" not in log.channels}
     angles = [joint for joint in machine.dependent_joints
@@ -48,14 +47,14 @@ def _sources(model: Model, log: AnyLog) -> _Sources:
     return _Sources({joint: channel for joint, channel in channels.items() if joint not in touched}, solved, beside)
 
 
-def _own_channel(model: Model, log: AnyLog, joint: str) -> str:
+def _own_channel(model: Model, log: Log, joint: str) -> str:
     """The channel that alone gives a joint."""
     direct, lengths = f"{joint}.q", (f"{each.name}.length" for each in model.machine.drivers[joint]
                                      if each.name in model.triangles)
     return direct if direct in log.channels else next((one for one in lengths if one in log.channels), direct)
 
 
-def angle_channels(model: Model, log: AnyLog) -> set[str]:
+def angle_channels(model: Model, log: Log) -> set[str]:
     """The channels that joint angles are read from."""
     sources = _sources(model, log)
     return {*sources.channels.values(), *sources.beside}

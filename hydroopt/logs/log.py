@@ -1,7 +1,8 @@
 """A measurement log in SI units: making it with all findings reported, cutting it, writing it."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,14 @@ from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
+from hydroopt.logs.mapped import MAPPED, at, extremes, release
 from hydroopt.logs.quality import Finding
+from hydroopt.logs.spline import MIN_SAMPLES
 from hydroopt.logs.stamps import of_datetimes
 from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
-from hydroopt.logs.treatment import Samples, choose, treat
+from hydroopt.logs.treatment import PIECE, Samples, choose, treat
 from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.notebook_card import Card, Shown
+from hydroopt.support.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["Finding", "Log", "LogMap", "read_map"]
 
 Array = NDArray[np.float64]
+SAMPLE, BLOCK = 2**17, 2**13
+"""Samples of a log by which its smoothing is chosen, and those of the blocks that these are taken from."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,6 +101,8 @@ class Log(Shown):
         for name, value in (("t", t), ("channels", channels), ("sample", sample), ("segment", segment),
                             ("units", units)):
             object.__setattr__(self, name, value)
+        if t.size >= MAPPED:
+            release()
 
     def __repr__(self) -> str:
         return (f"Log('{self.name}': {self.size} samples, {self.duration:.6g} s, {len(self.channels)} channel"
@@ -134,8 +141,7 @@ class Log(Shown):
 
     def extremes(self, channel: str) -> tuple[float, float]:
         """The smallest and the largest number of a channel; inf and -inf where it holds none."""
-        x = self.channels[channel]
-        return float(np.fmin.reduce(x, initial=np.inf)), float(np.fmax.reduce(x, initial=-np.inf))
+        return extremes(self.channels[channel])
 
     def without(self, channels: Collection[str], findings: tuple[Finding, ...]) -> "Log":
         """The log without some channels, with findings that say why instead of those about them."""
@@ -143,9 +149,51 @@ class Log(Shown):
         return replace(self, channels={name: x for name, x in self.channels.items() if name not in channels},
                        findings=(*kept, *findings))
 
-    def loaded(self, purpose: str) -> "Log":
-        """The log itself; a log that is read in pieces refuses."""
-        return self
+    def pieces(self, margin: float) -> Iterator[tuple["Log", slice, slice]]:
+        """The pieces of the log, each with what reaches a `margin` [s] beyond its own samples in their stretches.
+
+        Beside each stand the places of its own samples, in the log and in the piece.
+        """
+        for own in [slice(0, self.size)] if margin == np.inf else self.spans:
+            first = np.maximum(*(np.searchsorted(x, x[own.start] - beyond) for x, beyond in (
+                (self.t, margin), (self.segment, 0)))).item()
+            end = np.minimum(*(np.searchsorted(x, x[own.stop - 1] + beyond, "right") for x, beyond in (
+                (self.t, margin), (self.segment, 0)))).item()
+            yield self.slice(first, end), own, slice(own.start - first, own.stop - first)
+            release()
+
+    @property
+    def spans(self) -> list[slice]:
+        """The places of the pieces' own samples: `PIECE` rows of a file at most, or a log that is no longer."""
+        borders = np.arange(self.sample[0], self.sample[-1], PIECE)[1:]
+        edges = np.unique([0, *np.searchsorted(self.sample, borders), self.size]).tolist()
+        return [slice(*each) for each in pairwise(edges)] if self.size > PIECE else [slice(0, self.size)]
+
+    def sampled(self, moving: Collection[str]) -> "Log":
+        """All of a log of `SAMPLE` samples at most; of a longer one so many in blocks, between which the channels
+        `moving` move the same way.
+
+        Raises:
+            LogError: there is no stretch that can be smoothed.
+        """
+        if self.size <= SAMPLE:
+            return self
+        starts, ways = np.arange(0, self.size, BLOCK), np.zeros(-(-self.size // BLOCK))
+        for name in set(moving) & self.channels.keys():
+            low, high = (which.reduceat(self.channels[name], starts) for which in (np.fmin, np.fmax))
+            ways += np.nan_to_num((high - low) / (np.nanmax(high) - np.nanmin(low) or 1.0))
+            release()
+        way = np.cumsum(ways)
+        blocks = np.unique(np.searchsorted(way, (np.arange(SAMPLE // BLOCK) + 0.5) * BLOCK / SAMPLE * way[-1]))
+        rows = np.concatenate([np.arange(BLOCK * k, min(BLOCK * (k + 1), self.size)) for k in blocks])
+        segment = np.cumsum((np.diff(rows // BLOCK, prepend=-1) != 0) | (np.diff(self.segment[rows], prepend=-1) != 0))
+        long = np.bincount(segment)[segment] >= MIN_SAMPLES
+        if not long.any():
+            raise LogError("there is no stretch that is long enough to differentiate", where=self.path or self.name,
+                           remedy=f"record at least {MIN_SAMPLES} samples without a gap")
+        rows = rows[long]
+        return replace(self, t=at(self.t, rows), channels={name: at(x, rows) for name, x in self.channels.items()},
+                       sample=at(self.sample, rows), segment=segment[long], recording=None)
 
     def slice(self, start: int, stop: int) -> "Log":
         """Samples `start` to `stop` (0-based, half open, negative from the end) as a log.

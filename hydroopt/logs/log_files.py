@@ -8,18 +8,17 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.formats.files import Source, open_files, stem
 from hydroopt.logs.log import Log, given_layout, left_out, refuse_damage_of, treated_log
-from hydroopt.logs.partial_columns import partial_columns
+from hydroopt.logs.partial_columns import Partial, partial_columns
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.recording import ChannelGroup, Recording
 from hydroopt.logs.sheets import Part, parts_of_map, parts_without_map
 from hydroopt.logs.stamps import of_texts
-from hydroopt.logs.table import Array, in_si, stamps_of
+from hydroopt.logs.table import in_si, stamps_of
 from hydroopt.logs.treatment import choose
 
 
@@ -139,7 +138,10 @@ def _groups(part: Part, chosen: Mapping[str, str], limits: Mapping[str, tuple[fl
     if part.start:
         start = of_texts([part.start], None, where).start
     used = np.isfinite(t) | np.logical_or.reduce([np.isfinite(x) for x in values.values()]) if part.padded else None
-    pieces = _pieces(values, split=split)
+    found = partial_columns(values) if split else Partial(tuple(values), (), ())
+    if not found.full and not found.sparse:
+        found = Partial(tuple(values), (), ())
+    pieces = [*([(None, found.full)] if found.full else []), *found.sparse]
     out = []
     for k, (mask, names) in enumerate(pieces):
         keep = mask if used is None else used if mask is None else mask & used
@@ -155,23 +157,11 @@ def _groups(part: Part, chosen: Mapping[str, str], limits: Mapping[str, tuple[fl
                              f"{table.rows.size} rows: a group of channels with stamps of its own"),)
         group = ChannelGroup(name, log.t, log.channels, log.units, log.sample, log.segment)
         out.append((group, start, said))
-    lost = [name for name, x in values.items() if not np.isfinite(x).any()]
-    if lost and split and out:
-        text = f"{', '.join(lost)}: no number in any row; left out"
+    if found.empty:
+        text = f"{', '.join(found.empty)}: no number in any row; left out"
         group, start, said = out[0]
-        out[0] = group, start, (*said, Finding("empty", lost[0], *rows, table.rows.size, text))
+        out[0] = group, start, (*said, Finding("empty", found.empty[0], *rows, table.rows.size, text))
     return out
-
-
-def _pieces(values: Mapping[str, Array], *, split: bool) -> list[tuple[NDArray[np.bool_] | None, tuple[str, ...]]]:
-    """Rows and names of the channels that are sampled together; no rows where it is all."""
-    if not split:
-        return [(None, tuple(values))]
-    found = partial_columns(values)
-    if not found.full and not found.sparse:
-        return [(None, tuple(values))]
-    full: list[tuple[NDArray[np.bool_] | None, tuple[str, ...]]] = [(None, found.full)] if found.full else []
-    return [*full, *found.sparse]
 
 
 def _aligned(groups: Sequence[tuple[ChannelGroup, np.datetime64 | None]],

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.logs.mapped import release
+
 Array = NDArray[np.float64]
 
 SPARSE = 0.9
@@ -43,6 +45,7 @@ def partial_columns(channels: Mapping[str, Array]) -> Partial:
     sparse: dict[bytes, tuple[NDArray[np.bool_], list[str]]] = {}
     for name, x in channels.items():
         rows = np.isfinite(x)
+        release()
         if not rows.any():
             empty.append(name)
         elif np.any(np.isinf(x)) or not _even(rows):

@@ -18,7 +18,7 @@ from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, refuse_damage, write_columns
-from hydroopt.notebook_card import Card, Shown
+from hydroopt.support.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
     import pandas as pd

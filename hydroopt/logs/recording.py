@@ -13,7 +13,7 @@ from hydroopt.logs import quality
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
-from hydroopt.notebook_card import Shown
+from hydroopt.support.notebook_card import Shown
 
 Array = NDArray[np.float64]
 
@@ -185,6 +185,9 @@ class Recording(Shown):
         groups = [group.corrected(self.clocks.get(group.name, Clock())) for group in self.groups]
         base = groups[self._grid(grid, where)]
         others = [group for group in groups if group is not base]
+        if not others:
+            return Log(self.name, base.t, base.channels, base.sample, base.segment, self.findings, self.path,
+                       self.sha256, base.units)
         keep, findings, lost = np.ones(base.size, bool), self.findings, list[Finding]()
         for alike in _sampled_alike(others):
             group, shown = alike[0], ", ".join(map(_shown, alike))
@@ -216,8 +219,7 @@ class Recording(Shown):
         cut = np.diff(base.segment[keep], prepend=base.segment[keep][:1]) != 0
         units = {name: unit for group in self.groups for name, unit in group.units.items()}
         segment = np.cumsum(cut | _behind_a_loss(keep))
-        return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units,
-                   self if others else None)
+        return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units, self)
 
     def hidden_noise(self, channel: str, t: Array) -> float:
         """White noise of a channel over what second differences show of it once it is interpolated at the times t (N,).

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import spline, two_weights
+from hydroopt.logs.lag import stretches
+from hydroopt.logs.spline import Basis, Filter, Grid
 
 Array = NDArray[np.float64]
 
@@ -110,6 +112,83 @@ class Motion:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Smoother:
+    """Knots, filter and bandwidth [Hz] of every joint's spline, the same for all pieces of a log, and how they were
+    chosen in words.
+    """
+
+    grids: tuple[Grid, ...]
+    filters: tuple[Filter, ...]
+    bandwidth: Array
+    notes: tuple[str, ...]
+
+    @classmethod
+    def chosen(cls, t: Array, q: Array, segment: NDArray[np.int64], smoothing: SmoothingSpline, noise: Array | None,
+               names: Sequence[str], where: str) -> "Smoother":
+        """The one that suits positions (N, n) at times (N,) best; other arguments as of `condition`.
+
+        Raises:
+            LogError: a stretch is too short, or times do not increase.
+            ProblemError: the bandwidth leaves nothing of the motion.
+        """
+        spans = [slice(*each) for each in stretches(segment)]
+        for span in spans:
+            here = f"{where}, samples {span.start + 1} to {span.stop}"
+            _refuse_too_short(span.stop - span.start, here)
+            if np.any(np.diff(t[span]) <= 0):
+                raise LogError("times do not increase", where=here, remedy="correct the time stamps")
+        duration = float(t[-1] - t[0])
+        if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
+            raise ProblemError(
+                f"a bandwidth of {smoothing.bandwidth:g} Hz leaves nothing of a motion of {duration:.4g} s",
+                where=where, remedy=f"state one above {1 / duration:.2g} Hz or record a longer log")
+        moved = sum(float(t[span.stop - 1] - t[span.start]) for span in spans)
+        shared = spline.Pieces([t[span] for span in spans], Grid(float(t[0]), moved, t.size - len(spans)))
+        grids, filters, corners, notes = [], [], [], []
+        for j, name in enumerate(names):
+            stated = None if smoothing.cross_validate or noise is None or np.isnan(noise[j]) else float(noise[j])
+            bases, chosen = shared.choose([q[span, j] for span in spans], stated, smoothing.bandwidth)
+            fitted = [basis.spline(q[span, j], chosen) for basis, span in zip(bases, spans, strict=True)]
+            squares = sum(one.residual**2 * (span.stop - span.start) for one, span in zip(fitted, spans, strict=True))
+            grids.append(bases[0].grid)
+            filters.append(chosen)
+            corners.append(min(one.bandwidth for one in fitted))
+            notes.append(_note(name, where, corners[-1], float(np.sqrt(squares / t.size)), stated, smoothing))
+        return cls(tuple(grids), tuple(filters), np.array(corners), tuple(notes))
+
+    @property
+    def margin(self) -> float:
+        """How far [s] beyond a piece its smoothing has to reach, for what lies beyond to be felt no more.
+
+        A sample's influence falls by e within 1/(π·bandwidth) of one smoothing: the slowest of the six roots of
+        1 + (ω/ω₀)⁶. Each further smoothing of what is left multiplies it by the time, three e-foldings at that length.
+        """
+        most = max(one.passes for one in self.filters)
+        once = float(np.min(self.bandwidth)) / spline.wider(most)
+        return (spline.DECAY + 3 * (most - 1)) / (np.pi * once)
+
+    def motion(self, t: Array, q: Array, segment: NDArray[np.int64], where: str) -> Motion:
+        """Smooth positions (N, n) at times t (N,), those of a log or of a piece of it.
+
+        Raises:
+            LogError: a stretch is too short.
+        """
+        out, interior = np.empty((3, *q.shape)), np.zeros(t.size, bool)
+        for start, stop in stretches(segment):
+            span = slice(start, stop)
+            _refuse_too_short(stop - start, where)
+            for grid in dict.fromkeys(self.grids):
+                basis = Basis(t[span], grid)
+                some = [j for j, own in enumerate(self.grids) if own == grid]
+                right = basis.design.T @ q[span, some]
+                out[:, span, some] = basis.courses(np.column_stack([
+                    basis.solve(self.filters[j], column) for j, column in zip(some, right.T, strict=True)]))
+            interior[span] = inside(t[span], self.bandwidth)
+        return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth,
+                      np.array([one.passes for one in self.filters]), self.notes)
+
+
 def condition(
     t: ArrayLike,
     q: ArrayLike,
@@ -155,6 +234,10 @@ def condition(
         _refuse_weights(smoothing, where)
     if isinstance(smoothing, Fourier):
         return _fourier(times, positions, parts, smoothing, where)
+    if isinstance(smoothing, SmoothingSpline):
+        names = names or [f"joint {j + 1}" for j in range(positions.shape[1])]
+        return Smoother.chosen(times, positions, parts, smoothing, stds, names, where).motion(
+            times, positions, parts, where)
 
     out = np.empty((3, *positions.shape))
     bandwidth, passes = np.full(positions.shape[1], np.inf), np.ones(positions.shape[1], dtype=int)
@@ -166,20 +249,13 @@ def condition(
         if np.any(np.diff(times[span]) <= 0):
             raise LogError("times do not increase", where=here, remedy="correct the time stamps")
         if isinstance(smoothing, TwoWeights):
-            refuse_too_short(stop - start, here)
+            _refuse_too_short(stop - start, here)
             weights = smoothing.speed, smoothing.acceleration
             out[:, span] = two_weights.two_weights(times[span], positions[span], *weights)
             corners = np.full(positions.shape[1], two_weights.bandwidth(*weights))
-        elif isinstance(smoothing, Butterworth):
+        else:
             out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
             corners = np.full(positions.shape[1], smoothing.cutoff)
-        else:
-            stated = None if smoothing.cross_validate else stds
-            if stop - start >= spline.MIN_SAMPLES:
-                refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
-            out[:, span], corners, used, said = _spline(times[span], positions[span], smoothing, stated, names, here)
-            passes = np.maximum(passes, used)
-            notes += said
         bandwidth = np.minimum(bandwidth, corners)
         interior[span] = inside(times[span], corners)
     if isinstance(smoothing, TwoWeights):
@@ -204,7 +280,7 @@ def _refuse_weights(smoothing: TwoWeights, where: str) -> None:
                                                "(2πf)⁻⁴ s⁴ on squared acceleration alone has the bandwidth f")
 
 
-def refuse_too_short(samples: int, where: str) -> None:
+def _refuse_too_short(samples: int, where: str) -> None:
     """Raise a LogError where a stretch has too few samples for a spline."""
     if samples < spline.MIN_SAMPLES:
         raise LogError(f"a stretch of {samples} samples is too short to differentiate", where=where,
@@ -212,8 +288,8 @@ def refuse_too_short(samples: int, where: str) -> None:
                               f"{spline.MIN_SAMPLES} samples without a gap")
 
 
-def smoothing_note(name: str, where: str, corner: float, residual: float, stated: float | None,
-         smoothing: SmoothingSpline) -> str:
+def _note(name: str, where: str, corner: float, residual: float, stated: float | None,
+          smoothing: SmoothingSpline) -> str:
     """How a joint was smoothed: the bandwidth [Hz], what chose it, and what it took out beside the noise stated."""
     chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
     if smoothing.bandwidth and corner > 0.99 * smoothing.bandwidth:
@@ -221,28 +297,6 @@ def smoothing_note(name: str, where: str, corner: float, residual: float, stated
     warning = " (which does not agree: check the stated noise)" if stated and not 0.5 < residual / stated < 1.5 else ""
     return (f"{name}, {where}: smoothing spline with {corner:.3g} Hz bandwidth from {chosen}, residual std "
             f"{residual:.3g}{warning}")
-
-
-def refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
-    """Raise a ProblemError where a bandwidth leaves nothing of a motion of that duration [s]."""
-    if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
-        raise ProblemError(f"a bandwidth of {smoothing.bandwidth:g} Hz leaves nothing of a motion of {duration:.4g} s",
-                           where=where, remedy=f"state one above {1 / duration:.2g} Hz or record a longer log")
-
-
-def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
-            where: str) -> tuple[Array, Array, NDArray[np.int64], list[str]]:
-    refuse_too_short(t.size, where)
-    out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
-    passes, pieces = np.ones(q.shape[1], dtype=int), spline.Pieces.one(t)
-    for joint, column in enumerate(q.T):
-        stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
-        fitted = pieces.fit(column, stated, smoothing.bandwidth)
-        out[:, :, joint] = fitted.at_samples
-        corners[joint], passes[joint] = fitted.bandwidth, fitted.filter.passes
-        name = names[joint] if names else f"joint {joint + 1}"
-        notes.append(smoothing_note(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
-    return out, corners, passes, notes
 
 
 def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Array:

@@ -62,8 +62,8 @@ class Stamps:
             return None
         return np.datetime64(int(sound[0]) * (10**9 // self.per_second), "ns")
 
-    def seconds(self, origin: np.datetime64 | None = None) -> NDArray[np.float64]:
-        """Times (N,) [s], of dates from the first one or a stated moment on, NaN where missing; subtracted as integers.
+    def seconds(self) -> NDArray[np.float64]:
+        """Times (N,) [s], of dates from the first one on, NaN where missing; subtracted as integers.
 
         >>> Stamps(np.array([1700000000123456789, 1700000000123456790]), 10**9, True).seconds().tolist()
         [0.0, 1e-09]
@@ -71,8 +71,6 @@ class Stamps:
         missing = self.ticks == MISSING
         sound = self.ticks[~missing]
         first = sound[0] if self.dated and sound.size else 0
-        if self.dated and origin is not None:
-            first = origin.astype("M8[ns]").astype(np.int64) // (10**9 // self.per_second)
         return np.where(missing, np.nan, (self.ticks - first) / self.per_second)
 
 

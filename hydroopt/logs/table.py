@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.files import write_file
-from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.mapped import release, stored
 from hydroopt.logs.stamps import Stamps
-from hydroopt.packages import needed
+from hydroopt.support.files import write_file
+from hydroopt.support.input_file import read_bytes
+from hydroopt.support.packages import needed
 from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]
@@ -123,7 +124,7 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
     made = stamps_of(layout, table)
     for name, column in layout.columns.items():
         if name == "t" and made is not None:
-            values["t"] = made.seconds()
+            values["t"] = stored(made.seconds())
             continue
         if name == "t" and not column.unit:
             raise LogError("the time is neither dates nor has a unit", where=where,
@@ -133,7 +134,7 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
         with np.errstate(over="ignore", invalid="ignore"):
             difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
             scale, shift = column.factor * factor(column.unit, si), column.shift(si, where)
-            values[name] = difference if (scale, shift) == (1, 0) else scale * difference + shift
+            values[name] = difference if (scale, shift) == (1, 0) else stored(scale * difference + shift)
         most = largest(si)
         if not (-most <= values[name].min(initial=0.0) and values[name].max(initial=0.0) <= most):  # or one is NaN
             beyond = ~(np.abs(values[name]) <= most) & np.all(np.isfinite(raw), axis=0)
@@ -143,6 +144,7 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
             for row in table.rows[beyond]:
                 table.damage.setdefault(int(row), f"{name} beyond {most:g} {si}")
         units[name] = si
+        release()
     return values, {name: unit for name, unit in units.items() if name != "t"}
 
 
@@ -179,7 +181,8 @@ def refuse_damage(table: Table, where: str) -> None:
 
 def frozen(values: ArrayLike, kind: type) -> NDArray[Any]:
     """A copy of `values` as an array of `kind` that cannot be written to; they themselves, if they are one."""
-    if type(values) is np.ndarray and values.dtype == kind and values.base is None and not values.flags.writeable:
+    if type(values) is np.ndarray and values.dtype == kind and not values.flags.writeable and not (
+            isinstance(values.base, np.ndarray) and values.base.flags.writeable):
         return values
     array: NDArray[Any] = np.array(values, dtype=kind)
     array.setflags(write=False)
@@ -262,7 +265,7 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
 def selected(count: int, rows: tuple[int, int] | None, where: str) -> NDArray[np.int64]:
     """1-based data rows that a map selects of `count`."""
     first, last = ends(count, rows, where)
-    return np.arange(first, last + 1)
+    return stored(np.arange(first, last + 1))
 
 
 def ends(count: int, rows: tuple[int, int] | None, where: str) -> tuple[int, int]:

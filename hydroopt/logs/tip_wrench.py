@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.forces_from_pressures import force_lags, forces
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
@@ -14,7 +13,7 @@ from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 
-def wrench_channels(log: AnyLog) -> set[str]:
+def wrench_channels(log: Log) -> set[str]:
     """The channels of the tip's wrench that a log has."""
     return set(WRENCH) & set(log.channels)
 

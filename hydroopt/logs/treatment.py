@@ -1,6 +1,6 @@
 """What is done about the findings of a log: the actions a user may choose, and carrying them out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
 from hydroopt.logs.channels import is_force, si_unit
-from hydroopt.logs.quality import Array, Finding, Mask
+from hydroopt.logs.mapped import extremes, release, stored
+from hydroopt.logs.quality import Array, Extremes, Finding, Mask
 from hydroopt.logs.table import runs
 
 ACTIONS: dict[str, tuple[str, ...]] = {
@@ -27,12 +28,19 @@ ACTIONS: dict[str, tuple[str, ...]] = {
 without anything else is dropped."""
 
 
+AT_ONCE = {"nan": ("interpolate",), "spike": ("interpolate",), "non-monotonic": ("drop",), "duplicate": ("mean",),
+           "held": ("drop", "error")}
+"""Actions that take all samples of a log at once, however many there are."""
+PIECE, BESIDE = 2**17, 2**10
+"""Samples of a log that are treated and smoothed together, and those beside them by which they are judged."""
+
+
 @dataclass(frozen=True)
 class Samples:
     """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far.
 
-    Of a piece of a longer log only findings in the rows `reported` (first, last) are kept (none where the last comes
-    before the first), and `whole` are the extremes of the log's channels.
+    Of a piece of a longer log only findings in the rows `reported` (first, last) are kept, and `whole` are the extremes
+    of the log's channels.
     """
 
     t: Array
@@ -40,12 +48,12 @@ class Samples:
     sample: NDArray[np.int64]
     findings: tuple[Finding, ...] = ()
     reported: tuple[int, int] | None = None
-    whole: Mapping[str, tuple[float, float]] | None = None
+    whole: Mapping[str, Extremes] | None = None
 
     def keep(self, mask: Mask) -> "Samples":
         """The samples in `mask` (N,)."""
-        return replace(self, t=self.t[mask], channels={k: x[mask] for k, x in self.channels.items()},
-                       sample=self.sample[mask])
+        return replace(self, t=stored(self.t[mask]), channels={k: stored(x[mask]) for k, x in self.channels.items()},
+                       sample=stored(self.sample[mask]))
 
 
 def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
@@ -66,7 +74,7 @@ def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
     return chosen
 
 
-def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
+def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes],
           where: str) -> tuple[Samples, NDArray[np.int64]]:
     """Find and treat, in this order: NaN, time order, repeated stamps, repeated readings, outliers, sampling.
 
@@ -75,15 +83,49 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     Raises:
         LogError: a kind whose action is "error" was found, or too little is left.
     """
-    silent = samples.reported is not None and samples.reported[0] > samples.reported[1]
-    idle = silent and all(chosen[kind] != "drop" for kind in ("saturated", "stuck", "spike"))
-    whole = () if samples.reported else (_held,)
-    for step in (_not_a_number, _order, _repeats, *whole, *(() if idle else (_outliers,))):
+    at_once = samples.t.size <= PIECE or any(chosen[kind] in actions for kind, actions in AT_ONCE.items())
+    return _sampling((_treated if at_once else _by_pieces)(samples, chosen, limits, where), chosen, where)
+
+
+def _treated(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes], where: str) -> Samples:
+    """What is left of samples, gaps and jitter of their times aside."""
+    for step in (_not_a_number, _order, _repeats, _held, _outliers):
         samples = step(samples, chosen, limits, where)
         if samples.t.size < 2:
             raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
                            remedy="choose other treatments or record the log again")
-    return _sampling(samples, chosen, where)
+    return samples
+
+
+def _by_pieces(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes], where: str) -> Samples:
+    """The same of many samples, of which a piece and what lies beside it are judged at a time."""
+    count, keep, found = samples.t.size, np.zeros(samples.t.size, bool), list[Finding]()
+    whole = {name: extremes(x) for name, x in samples.channels.items()}
+    for start in range(0, count, PIECE):
+        core, around = slice(start, min(start + PIECE, count)), slice(max(start - BESIDE, 0), start + PIECE + BESIDE)
+        rows = samples.sample[core]
+        piece = Samples(samples.t[around], {name: x[around] for name, x in samples.channels.items()},
+                        samples.sample[around], (), (int(rows[0]), int(rows[-1])), whole)
+        piece = _treated(piece, chosen, limits, where)
+        keep[core] = np.isin(rows, piece.sample)
+        found += piece.findings
+        release()
+    for name in (name for name, ends in whole.items() if np.any(np.isinf(ends))):
+        x = samples.channels[name]
+        samples.channels[name] = stored(np.where(np.isinf(x), np.nan, x))
+    samples = replace(samples, findings=tuple(_joined(found)))
+    return samples if keep.all() else samples.keep(keep)
+
+
+def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Findings of one kind in one channel as one."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for one in findings:
+        groups.setdefault((one.kind, one.channel), []).append(one)
+    for (kind, channel), some in groups.items():
+        count, text = sum(one.count for one in some), some[0].text
+        yield Finding(kind, channel, some[0].first, some[-1].last, count, text if len(some) == 1 else
+                      f"{text}; {count} samples in all, the last of them {some[-1].last}")
 
 
 def _note(
@@ -165,9 +207,11 @@ def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where:
 
 def _held(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
     """Positions that the logger repeats between the samples of a slower sensor: all samples but its own are found."""
+    if chosen["held"] == "keep":
+        return samples
     every = {name: find.held(x) for name, x in samples.channels.items() if name.rpartition(".")[2] in ("q", "length")}
     slowest = max(every, key=lambda name: every[name], default="")
-    if not slowest or not every[slowest] or chosen["held"] == "keep":
+    if not slowest or not every[slowest]:
         return samples
     x, rows = samples.channels[slowest], np.arange(samples.t.size)
     changes = np.flatnonzero(np.diff(x)) + 1
@@ -178,7 +222,7 @@ def _held(samples: Samples, chosen: Mapping[str, str], limits: object, where: st
     return samples.keep(~mask)
 
 
-def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
+def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes],
               where: str) -> Samples:
     """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump.
 
@@ -214,7 +258,7 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     return samples.keep(~drop) if drop.any() else samples
 
 
-def _at_limit(samples: Samples, limits: Mapping[str, tuple[float, float]]) -> Callable[[str, Mask], str]:
+def _at_limit(samples: Samples, limits: Mapping[str, Extremes]) -> Callable[[str, Mask], str]:
     def text(name: str, mask: Mask) -> str:
         x, unit = samples.channels[name][mask], si_unit(name)
         low, high = limits.get(name, (-np.inf, np.inf))
@@ -248,4 +292,5 @@ def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[
         samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
                         f"{step:.4g} s by more than 10 %", chosen, where)
     split = after_gap if chosen["gap"] == "split" else np.zeros(samples.t.size, bool)
-    return samples, np.cumsum(split)
+    release()
+    return samples, stored(np.cumsum(split))

@@ -14,7 +14,6 @@ from typing import Any, Self
 from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from hydroopt.errors import MachineError
-from hydroopt.input_file import similar
 from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Actuator, Drive, Motor
 from hydroopt.machine.description import BASE, MachineDescription
@@ -23,7 +22,8 @@ from hydroopt.machine.links import Joint, Note
 from hydroopt.machine.quantity import ImpossibleError, Noun, quantity_of, with_likely_units
 from hydroopt.machine.sensors import INCLINATION, Imu, Sensor
 from hydroopt.machine.survey import TIP
-from hydroopt.notebook_card import Card, CardTable, Drawn
+from hydroopt.support.input_file import similar
+from hydroopt.support.notebook_card import Card, CardTable, Drawn
 from hydroopt.units import UnitError, to_si
 
 __all__ = ["BASE", "Machine"]

@@ -19,13 +19,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from hydroopt.errors import MachineError, ProblemError
-from hydroopt.input_file import read_text, toml
 from hydroopt.machine import file_checks, free_links, linkages, oil_links, parameter_sets, range_checks
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.file_schema import in_plain_words, validate, without_notes, without_value
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun
+from hydroopt.support.input_file import read_text, toml
 from hydroopt.units import UnitError
 
 ROBOT_SUFFIXES = (".urdf", ".xml", ".sdf", ".xacro")

@@ -21,10 +21,10 @@ from hydroopt.model.cylinder_motion import centre_line
 from hydroopt.model.pose_rows import Frames, inputs, measurements
 from hydroopt.model.recent import Recent
 from hydroopt.model.scene_graph import SceneGraph
-from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
+from hydroopt.support.notebook_card import Card, Shown
 
 TINY = 1e-9
 """Length [m] that keeps a distance differentiable at zero."""

@@ -22,12 +22,12 @@ from hydroopt.model.recent import Recent
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.model.sensor_readings import imu_readings
-from hydroopt.notebook_card import Card, Drawn
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.parameters.unstated_bodies import joints_of_unstated_bodies
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Card, Drawn
 
 
 class Model(Drawn):

@@ -28,10 +28,10 @@ from hydroopt.model.hydraulics import (
 )
 from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.model import Model, model_of
-from hydroopt.notebook_card import Shown
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 SLIDING = 0.01
 """Sliding speed [m/s] over which dry friction on a wall is smoothed: v/|v| becomes v/√(v² + SLIDING²)."""

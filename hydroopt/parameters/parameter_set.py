@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.input_file import similar
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
-from hydroopt.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.input_file import similar
+from hydroopt.support.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.units import in_print
 
 __all__ = ["GROUPS", "ParameterKind", "ParameterSet"]

@@ -19,7 +19,7 @@ from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.estimate import Estimate
-    from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+    from hydroopt.estimation.dynamic.experiment import Experiment
     from hydroopt.estimation.dynamic.misfit.naming import Misfit
 
 METHODS = {
@@ -136,7 +136,7 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
         for total in estimate.total_masses if len(total.bodies) > 1]
 
 
-def _log(role: str, data: AnyExperiment) -> dict[str, Any]:
+def _log(role: str, data: Experiment) -> dict[str, Any]:
     log = data.log
     return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.sample_count,
             "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",

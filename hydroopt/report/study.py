@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.files import write_files
 from hydroopt.report.charts import LOOKS, Curves
 from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
 from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
+from hydroopt.support.files import write_files
 
 SCHEMA = 1
 """Version of summary.json; it changes when a key changes its meaning or goes."""

@@ -18,7 +18,6 @@ import numpy as np
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
-from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.fit import Fit
@@ -28,6 +27,7 @@ from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import Action, NextStep, Use, Verdict
+from hydroopt.support.notebook_card import Card, CardTable, Drawn
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import TypeAdapter
 
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.files import claimed, encoded, lies_within, write_files
-from hydroopt.input_file import read_bytes, read_json
-from hydroopt.packages import versions
 from hydroopt.results.status import Status
 from hydroopt.results.verdict import Verdict
+from hydroopt.support.files import claimed, encoded, lies_within, write_files
+from hydroopt.support.input_file import read_bytes, read_json
+from hydroopt.support.packages import versions
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine

@@ -9,9 +9,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
-from hydroopt.input_file import similar
-from hydroopt.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.support.input_file import similar
+from hydroopt.support.notebook_card import Card, CardTable, Shown, figure
 from hydroopt.units import in_print
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import predict
-from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
@@ -119,7 +118,7 @@ def block_length(time: float, samples: int) -> int:
 @cache
 def _prepared(resampling: Resampling) -> tuple[IdentificationProblem, tuple[Experiment, ...], list[Array]]:
     problem = identification_problem(resampling.machine, resampling.logs)
-    held = in_memory(problem.experiments, "a bootstrap")
+    held = problem.experiments
     return problem, held, [predict(problem.model, e, resampling.psi) for e in held]
 
 
@@ -138,7 +137,7 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     """
     problem = identification_problem(machine, logs)
     found = identify(problem, method, seed=seed)
-    held = in_memory(problem.experiments, "a bootstrap")
+    held = problem.experiments
     samples = np.sum([np.sum(e.inside[:, None] & e.known, axis=0) for e in held], axis=0)
     valued = np.flatnonzero(np.isfinite(found.value))
     n = len(machine.balances)

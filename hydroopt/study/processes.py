@@ -7,9 +7,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 
 from hydroopt.errors import ProblemError
-from hydroopt.interrupt import deferred
-from hydroopt.processes import pool
 from hydroopt.study.study import Outcome, Study, Values, outcome
+from hydroopt.support.interrupt import deferred
+from hydroopt.support.processes import pool
 
 PAUSE = 0.2
 """Interval [s] between looks at Ctrl-C."""

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.files import claimed, write_files
-from hydroopt.input_file import read_json
-from hydroopt.packages import needed
-from hydroopt.progress import Progress, silent
 from hydroopt.study import processes
 from hydroopt.study.study import Compute, Outcome, Study, Value
 from hydroopt.study.table import Table
+from hydroopt.support.files import claimed, write_files
+from hydroopt.support.input_file import read_json
+from hydroopt.support.packages import needed
+from hydroopt.support.progress import Progress, silent
 
 IDENTITY = "study.json"
 
@@ -38,7 +38,7 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
             configuration. By default processes of this computer; then a script needs the usual
             ``if __name__ == "__main__"``.
         workers: number of processes, if there is no scheduler.
-        say: receives the cells, see `hydroopt.progress`.
+        say: receives the cells, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: the directory holds another study or cannot be written, or another process writes there; the

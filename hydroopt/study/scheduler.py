@@ -22,11 +22,11 @@ import dask
 from distributed import Client, Future, KilledWorker, Security, Worker, WorkerPlugin, get_worker, rpc
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.interrupt import deferred
-from hydroopt.packages import versions
-from hydroopt.progress import Progress
 from hydroopt.study.processes import PAUSE
 from hydroopt.study.study import Compute, Outcome, Study, Values, outcome
+from hydroopt.support.interrupt import deferred
+from hydroopt.support.packages import versions
+from hydroopt.support.progress import Progress
 
 PATIENCE, JOINING = 5.0, 60.0
 """Time limits [s] for a scheduler to answer and for a worker to join."""

@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import HydrooptError
-from hydroopt.packages import versions
+from hydroopt.support.packages import versions
 
 Value = float | int | str | None
 """An input or output of a cell: a number, a word, or None where there is no number."""

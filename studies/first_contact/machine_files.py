@@ -26,10 +26,10 @@ from typing import Any
 import tomli_w
 
 from hydroopt.errors import LONGEST, HydrooptError, MachineError
-from hydroopt.input_file import refuse_absurd
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine_file import build_machine, load_machine
 from hydroopt.machine.robot_formats.writing import robot_files
+from hydroopt.support.input_file import refuse_absurd
 
 COUNT = int(os.environ.get("SPOILT_MACHINE_FILES", "20000"))
 HANGS = 10.0

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import hydroopt as ho
 from hydroopt.__main__ import main
 from hydroopt.errors import HydrooptError
-from hydroopt.files import claimed
+from hydroopt.support.files import claimed
 from studies.kills.jobs import Job
 
 MARK = "HYDROOPT_KILLS"

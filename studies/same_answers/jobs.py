@@ -56,7 +56,7 @@ def _streamed(rows: int) -> Answer:
     path = Path("same_answers.csv")
     log("cat215b", 4, duration=rows / 50).write(path)
     try:
-        return identified(ho.identification_problem("cat215b", ho.open_log(path)))
+        return identified(ho.identification_problem("cat215b", ho.read_log(path)))
     finally:
         path.unlink()
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from hydroopt.cli import COMMANDS, JOBS, app
 from hydroopt.machine.machine_file import bundled
-from hydroopt.packages import version
+from hydroopt.support.packages import version
 
 DEFERRED: Any = typer.main.get_command(app)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fixtures.tiers import tiered
-from hydroopt.files import claimed
+from hydroopt.support.files import claimed
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and users of POSIX")
 COMMAND = (sys.executable, "-m", "hydroopt")
@@ -72,7 +72,8 @@ def test_ctrl_c_while_modules_are_imported_ends_in_a_sentence(tmp_path: Path, mo
 def test_ctrl_c_that_a_finaliser_swallows_or_a_library_replaces_still_ends_the_run() -> None:
     program = """
 import signal, sys, time
-from hydroopt import cli, interrupt
+from hydroopt import cli
+from hydroopt.support import interrupt
 
 class Finaliser:
     def __del__(self):
@@ -133,7 +134,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     program = """
-from hydroopt.processes import pool
+from hydroopt.support.processes import pool
 
 class ImportedForLong:
     def __reduce__(self):

@@ -13,7 +13,7 @@ from fixtures.library import NOT_FINITE, STALE, Library, run, sources, write
 from fixtures.tools import Tool
 from hydroopt.codegen.folder import INTERFACE_VERSION, LICENCE, Code
 from hydroopt.codegen.parameter_source import Origin
-from hydroopt.packages import version
+from hydroopt.support.packages import version
 
 ROUTINES = ("cylinder_state", "gravity_forces")
 

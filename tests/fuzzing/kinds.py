@@ -31,7 +31,6 @@ from hydroopt.logs.formats.decoders.content import UnreadableError
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.poses import read_poses
-from hydroopt.logs.stream import open_log, stream
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -183,9 +182,7 @@ def _csv(rng: random.Random, folder: Path) -> Callable[[], object]:
 def _parquet(rng: random.Random, folder: Path) -> Callable[[], object]:
     file = folder / "log.parquet"
     file.write_bytes(mutation.parquet(rng, motion()))
-    if rng.random() < 0.2:
-        return lambda: stream(file).survey
-    return lambda: open_log(file)
+    return lambda: read_log(file)
 
 
 LAYOUT = {"columns": {"t": {"variable": "t", "unit": "s"}, "lift.q": {"variable": "q", "unit": "rad"},

@@ -20,11 +20,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt import cache
 from hydroopt.kernels import compiler as system
 from hydroopt.kernels import native
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, source
+from hydroopt.support import cache
 from studies.first_contact import compilers
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")

@@ -1,3 +1,4 @@
+import gzip
 import hashlib
 import itertools
 from pathlib import Path
@@ -12,7 +13,6 @@ from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.logs import quality
 from hydroopt.logs.log import Log, LogMap, read_map
 from hydroopt.logs.log_files import read_log
-from hydroopt.logs.stream import stream
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -244,7 +244,8 @@ def test_limits_of_a_sensor_count_as_saturation(tmp_path):
 
 
 def test_absurd_sizes_are_refused_before_allocation(tmp_path, monkeypatch):
-    path = stored(made(), tmp_path)
+    path = tmp_path / "made.parquet.gz"
+    path.write_bytes(gzip.compress(stored(made(), tmp_path).read_bytes()))
     monkeypatch.setattr("hydroopt.logs.table.EXPANDED_LIMIT", 1000)
     with pytest.raises(LogError, match="GB of data"):
         read_log(path)
@@ -338,7 +339,7 @@ def test_a_byte_of_a_matlab_file_ends_in_a_sentence(tmp_path, at, value, pattern
 
 
 @pytest.mark.parametrize("value", [1e308, -1e200, 1e31])
-@pytest.mark.parametrize("kind", ["csv", "parquet", "mat", "streamed"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
 def test_numbers_beyond_any_machine_are_refused_in_every_format(tmp_path, kind, value):
     q = np.linspace(0, 1, 9)
     q[4] = value
@@ -348,13 +349,9 @@ def test_numbers_beyond_any_machine_are_refused_in_every_format(tmp_path, kind, 
                                                     "a.q": {"variable": "q", "unit": "rad"}}})
     else:
         layout = None
-        Log("made", np.arange(9.0), {"a.q": q}).write(tmp_path / f"log.{kind.replace('streamed', 'parquet')}")
-    def read():
-        return (stream(tmp_path / "log.parquet").survey if kind == "streamed"
-                else read_log(tmp_path / f"log.{kind}", mapping=layout))
-
+        Log("made", np.arange(9.0), {"a.q": q}).write(tmp_path / f"log.{kind}")
     with pytest.raises(LogError, match=r"data row 5 is damaged \(5: a\.q beyond 1e\+06 rad\)"):
-        read()
+        read_log(tmp_path / f"log.{kind}", mapping=layout)
 
 
 def test_kr300_reads_with_its_map():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from hydroopt.logs import spline, streamed_smoothing
-from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.logs import spline
+from hydroopt.logs.smoothing import Smoother, SmoothingSpline, condition
 from hydroopt.logs.spline import Basis, Grid
 
 T = 3.0 + np.arange(901) / 50
@@ -48,14 +48,14 @@ def test_pieces_are_smoothed_as_the_whole(even: bool) -> None:
     rng = np.random.default_rng(4)
     q = np.column_stack([np.sin(2 * t), 0.3 * np.cos(3 * t)]) + NOISE * rng.standard_normal((t.size, 2))
     whole = condition(t, q, noise=NOISE)
-    chosen = streamed_smoothing.choose([(t, q)], Grid.of(t), SmoothingSpline(), np.full(2, NOISE), ["a", "b"], "log")
+    chosen = Smoother.chosen(t, q, np.zeros(t.size, int), SmoothingSpline(), np.full(2, NOISE), ["a", "b"], "log")
     np.testing.assert_allclose(chosen.bandwidth, whole.bandwidth, rtol=1e-9)
     margin = int(np.ceil(50 * chosen.margin)) + 1
     assert margin < 400
     for first, last in ((0, 100), (400, 500), (500, 800), (800, 901)):
         window = slice(max(0, first - margin), min(last + margin, t.size))
         core = (np.arange(t.size)[window] >= first) & (np.arange(t.size)[window] < last)
-        part = chosen.motion(t[window], q[window], np.zeros(core.size, int), core, "log")
+        part = chosen.motion(t[window], q[window], np.zeros(core.size, int), "log")
         for one, other in ((part.q, whole.q), (part.qd, whole.qd), (part.qdd, whole.qdd)):
             np.testing.assert_allclose(one[core], other[first:last], rtol=0, atol=1e-9 * np.max(np.abs(other)))
         np.testing.assert_array_equal(part.interior[core], whole.interior[first:last])
@@ -93,12 +93,12 @@ def test_pieces_of_a_motion_of_stated_bandwidth_are_smoothed_like_the_whole(shar
     q = (np.sin(2 * T) + NOISE * rng.standard_normal(T.size))[:, None]
     smoothing = SmoothingSpline(bandwidth=1.5 if sharp else 20.0)
     whole = condition(T, q, smoothing=smoothing, noise=NOISE)
-    chosen = streamed_smoothing.choose([(T, q)], Grid.of(T), smoothing, np.full(1, NOISE), ["a"], "log")
+    chosen = Smoother.chosen(T, q, np.zeros(T.size, int), smoothing, np.full(1, NOISE), ["a"], "log")
     assert whole.passes.tolist() == [spline.SHARP if sharp else 1]
     margin = int(np.ceil(50 * chosen.margin)) + 1
     window = slice(0, 400 + margin)
     core = np.arange(T.size)[window] < 400
-    part = chosen.motion(T[window], q[window], np.zeros(core.size, int), core, "log")
+    part = chosen.motion(T[window], q[window], np.zeros(core.size, int), "log")
     np.testing.assert_allclose(part.qdd[core], whole.qdd[:400], rtol=0, atol=1e-9 * np.max(np.abs(whole.qdd)))
 
 

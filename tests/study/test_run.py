@@ -236,7 +236,7 @@ def test_the_directory_of_another_study_is_refused(other: Study, what: str, tmp_
 
 def test_another_version_is_another_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Directory(tmp_path, quick.study(6))
-    monkeypatch.setattr("hydroopt.packages.metadata.version", lambda name: "0.0")
+    monkeypatch.setattr("hydroopt.support.packages.metadata.version", lambda name: "0.0")
     with pytest.raises(ProblemError, match=r'versions hydroopt is ".*" there and "0.0" here'):
         run(quick.study(6), tmp_path)
 

@@ -25,28 +25,28 @@ from hydroopt.estimation.combined.log_geometry import ForcesByGeometry, LogGeome
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside, NumbersGiven
-from hydroopt.estimation.dynamic.identification import WITH_PRIORS
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
-from hydroopt.logs.any_log import AnyLog, in_memory
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.calibrated_numbers import closed_flat, standing_for, with_calibrated
 from hydroopt.machine.joint_limits import within_strokes
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine
 from hydroopt.model.model import Model
-from hydroopt.notebook_card import Shown
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import COVARIANCE, covariance_csv, number
 from hydroopt.results.verdict import Purpose, Use, determined
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,10 @@ class CombinedProblem(Shown):
     def __post_init__(self) -> None:
         problem = self.identification
         refuse_added("geometry", problem.experiments)
-        in_memory(problem.experiments, "geometry")
         taken = {"instruments": bool(problem.instruments), "correlated channels": problem.correlated,
                  "freed faults": bool(problem.freed), f"the loss '{problem.loss}'": problem.loss != "squares",
-                 "fitted rates and accelerations": any(data.position_std is not None for data in in_memory(
-                     problem.experiments, "geometry"))}
+                 "fitted rates and accelerations": any(
+                     data.position_std is not None for data in problem.experiments)}
         if named := [what for what, so in taken.items() if so]:
             raise ProblemError(f"geometry cannot be estimated together with {named[0]}", where="geometry",
                                remedy="choose one of the two")
@@ -81,7 +80,7 @@ class CombinedProblem(Shown):
                 f"{counted(len(problem.experiments), 'training log')})")
 
 
-def combined_problem(machine: GivenMachine, logs: AnyLog | Sequence[AnyLog], validation: AnyLog | Sequence[AnyLog] = (),
+def combined_problem(machine: GivenMachine, logs: Log | Sequence[Log], validation: Log | Sequence[Log] = (),
                      *, smoothing: Smoothing | None = None) -> CombinedProblem:
     """The problem of geometry, bodies and friction together.
 
@@ -260,7 +259,7 @@ def identify_with_geometry(problem: CombinedProblem, method: Method = "sdp", *, 
         raise ProblemError(f"method '{method}' knows no confidences, by which geometry and bodies are separated",
                            where="geometry", remedy=f"use {', '.join(WITH_PRIORS)}")
     nominal = problem.identification
-    kinematics = calibrate(postures(nominal.model.machine, in_memory(nominal.experiments, "geometry")))
+    kinematics = calibrate(postures(nominal.model.machine, nominal.experiments))
     force = ForcesByGeometry(nominal.model, kinematics.problem.model.parameters.names)
     about = _about(problem, _beside(nominal, force, kinematics), kinematics)
     about = _about(problem, identify(about, method, intervals=False, **options).problem.beside, kinematics)
@@ -290,7 +289,7 @@ def _beside(problem: IdentificationProblem, force: ForcesByGeometry, kinematics:
     names, bound = np.array(every.parameters.names), kinematics.at_bound
     held = every.fixing(**dict(zip(names[bound], kinematics.theta[bound].tolist(), strict=True)))
     found, first = [], 0
-    for data in in_memory(problem.experiments, "geometry"):
+    for data in problem.experiments:
         others = np.ones(len(every.poses), dtype=bool)
         others[first : first + data.log.size] = False
         own = kinematics.q[~others, len(every.model.machine.joints):]

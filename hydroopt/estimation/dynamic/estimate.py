@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic import diagnostics, reversals, usability
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identification import Identification
 from hydroopt.estimation.dynamic.misfit import diagnostics as misfit_diagnostics
 from hydroopt.estimation.dynamic.misfit.blocks import Data
@@ -226,7 +226,7 @@ def inputs_of(problem: IdentificationProblem) -> tuple[Mapping[str, Any], ...]:
             *(_input(each, "validation") for each in problem.validation))
 
 
-def _input(data: AnyExperiment, role: str) -> dict[str, Any]:
+def _input(data: Experiment, role: str) -> dict[str, Any]:
     log = data.log
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
             "first_sample": log.rows[0], "last_sample": log.rows[1],

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
     FEW_MOVING,
+    WINDOW,
     Courses,
     Phases,
     SpeedLimits,
@@ -30,69 +32,28 @@ from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, cal
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.sensed import calls_for_fit, sensed
 from hydroopt.kernels.native import FEW
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_channels, force_lags, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
+from hydroopt.logs.mapped import empty, release
 from hydroopt.logs.quality import usual_step
-from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
+from hydroopt.logs.smoothing import Motion, Smoother, Smoothing, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
+from hydroopt.logs.treatment import PIECE
 from hydroopt.machine.balances import undriven
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 STARTING = 1e-9
 """Speed [rad/s or m/s] at which dry friction is that of a joint that just begins to move."""
-
-
-class AnyExperiment(Protocol):
-    """What estimation needs of an experiment, whether its samples are in memory or streamed from a file."""
-
-    @property
-    def model(self) -> Model:
-        """What relates its motion to forces."""
-
-    @property
-    def log(self) -> AnyLog:
-        """The log that it was made of."""
-
-    @property
-    def sample_count(self) -> int:
-        """Number of samples used."""
-
-    @property
-    def pattern(self) -> NDArray[np.bool_]:
-        """Which parameters the equations of each actuator have (n, p)."""
-
-    @property
-    def plotted(self) -> Experiment:
-        """The part that is plotted."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """How the log was treated, in sentences."""
-
-    def loaded(self, purpose: str) -> Experiment:
-        """The experiment with all samples in memory, which `purpose` needs.
-
-        Raises:
-            ProblemError: the log is read in pieces.
-        """
-
-    def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None, weights: Array | None = None) -> None:
-        """Add the equations, linearised at `psi` (p,); `weights` (N, n) multiply squared residuals."""
-
-    def moments(self, psi: Array) -> Array:
-        """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
-
-    def bands(self, psi: Array | None = None) -> ActuatorBands:
-        """The equations, linearised at `psi` (p,), by frequency."""
+SHOWN = 500_000
+"""Samples of a log beyond which figures and diagnostics look at a block of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log, all samples in memory.
+    """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log.
 
     Where the log states a wrench at the tip, what it adds is taken out of the forces.
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples are
@@ -104,6 +65,7 @@ class Experiment:
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
     friction does. `added` (N, n, p) is what an attached calibrator, lags or faults of instruments add to the regressor.
     `position_std` (n,) is the standard deviation of the joints' positions where the motion is fitted to other sensors.
+    `shown` are the first and the end of the samples of a long log that figures show and diagnostics look at.
     """
 
     model: Model
@@ -116,6 +78,7 @@ class Experiment:
     added: Array | None = None
     calm: NDArray[np.bool_] | None = None
     position_std: Array | None = None
+    shown: tuple[int, int] | None = None
 
     def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
         """Inputs of the model's regressor and inverse dynamics: q, qd, qdd and, where needed, pressure (·, n)."""
@@ -140,12 +103,25 @@ class Experiment:
 
     @property
     def plotted(self) -> Experiment:
-        """The part that is plotted: all of it."""
-        return self
+        """The samples that are shown."""
+        return self if self.shown is None else self.part(slice(*self.shown))
 
-    def loaded(self, purpose: str) -> Experiment:
-        """The experiment itself; one that is streamed raises an error."""
-        return self
+    def part(self, span: slice) -> Experiment:
+        """Some samples of it."""
+        m = self.motion
+        motion = replace(m, t=m.t[span], q=m.q[span], qd=m.qd[span], qdd=m.qdd[span], segment=m.segment[span],
+                         interior=m.interior[span])
+        pressure, added = (None if x is None else x[span] for x in (self.pressure, self.added))
+        calm = None if self.calm is None else self.calm[span]
+        return replace(self, log=self.log.slice(span.start, span.stop), motion=motion, force=self.force[span],
+                       known=self.known[span], pressure=pressure, added=added, calm=calm, shown=None)
+
+    def parts(self) -> Iterator[tuple[slice, Experiment]]:
+        """The pieces that it is made of, with their places."""
+        spans = self.log.spans
+        for span in spans:
+            yield span, self if len(spans) == 1 else self.part(span)
+            release()
 
     def equations(self, psi: Array | None = None, rows: slice | NDArray[np.intp] = slice(None),
                   out: list[Array] | None = None) -> tuple[list[Array], Array]:
@@ -199,24 +175,30 @@ class Experiment:
 
     def predicted(self, psi: Array) -> Array:
         """Actuator forces (N, n) that the parameters ψ predict for the motion."""
-        made = self.model.over(self.model.inverse_dynamics, *self.inputs(), psi)[0][:, :, 0]
-        return made if self.added is None else np.asarray(made + self.added @ psi)
+        found = empty(self.force.shape)
+        for span, part in self.parts():
+            made = self.model.over(self.model.inverse_dynamics, *part.inputs(), psi)[0][:, :, 0]
+            found[span] = made if part.added is None else made + part.added @ psi
+        return found
 
     def moments(self, psi: Array) -> Array:
         """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
-        force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
-        read = np.isfinite(force)
-        return np.array([np.where(read, x, 0.0).sum(axis=0)
-                         for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)])
+        sums = np.zeros((4, self.force.shape[1]))
+        for _, part in self.parts():
+            force, predicted = part.force[part.inside], part.predicted(psi)[part.inside]
+            read = np.isfinite(force)
+            sums += [np.where(read, x, 0.0).sum(axis=0)
+                     for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)]
+        return sums
 
-    def blocks(self, origin: int, span: tuple[int, int]) -> Iterator[slice]:
-        """The samples `span` (first, end) in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the
-        row `origin` on.
-        """
-        place = (self.log.sample[slice(*span)] - origin) // BLOCK
-        new = (np.diff(place, prepend=-1) != 0) | (np.diff(self.motion.segment[slice(*span)], prepend=-1) != 0)
-        for a, b in pairwise([*np.flatnonzero(new).tolist(), len(new)]):
-            yield slice(span[0] + a, span[0] + b)
+    def blocks(self) -> Iterator[slice]:
+        """The samples in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the first row on."""
+        sample, segment = self.log.sample, self.motion.segment
+        borders = np.searchsorted(sample, np.arange(sample[0], sample[-1] + 1, BLOCK))
+        edges = np.unique([*borders, *(np.flatnonzero(segment[1:] != segment[:-1]) + 1), len(sample)]).tolist()
+        for edge in pairwise(edges):
+            release()
+            yield slice(*edge)
 
     def fold_block(self, bands: ActuatorBands, block: slice, middle: float, psi: Array | None = None,
                    rows: Sequence[Array] | None = None) -> None:
@@ -255,9 +237,14 @@ class Experiment:
                             pressure=None if self.pressure is None else self.pressure[rows])
             return state.equations(psi)[0][0]
 
-        errors = angle_errors(angle_noise(self.model, self.log), motion.bandwidth, motion.passes, step)
+        errors = angle_errors(self._angle_noise, motion.bandwidth, motion.passes, step)
         return regressor_noise(equations, (motion.q[rows], motion.qd[rows], motion.qdd[rows]), errors,
                                self.inside[rows, None] & self.known[rows], free)
+
+    @cached_property
+    def _angle_noise(self) -> Array:
+        """Standard deviation (n,) of each joint's reading."""
+        return angle_noise(self.model, self.log.sampled(angle_channels(self.model, self.log)))
 
     def _levers(self, origin: int, spans: Sequence[tuple[int, int, int]], psi: Array | None) -> Array:
         """Sizes (h, p) of an actuator's columns just before its joint moves that rests in the spans (actuator, first
@@ -275,21 +262,39 @@ class Experiment:
         return np.asarray(np.abs(state.equations(psi)[0][0][np.arange(len(spans)), actuators]))
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
-        """The equations, linearised at `psi` (p,), by frequency."""
-        bases, middle = [ColumnBasis.whole(np.flatnonzero(row)) for row in self.pattern], float(np.mean(self.log.rows))
-        bands = ActuatorBands(self.model.parameters, bases, undriven(self.model.machine.balances))
-        for block in self.blocks(self.log.rows[0], (0, len(self.force))):
-            self.fold_block(bands, block, middle, psi)
-        return bands
+        """The equations, linearised at `psi` (p,), by frequency.
+
+        Of a long log half of the columns are folded, from which the others follow.
+        """
+        bases, kept = [ColumnBasis.whole(np.flatnonzero(row)) for row in self.pattern], None
+        if len(self.log.spans) > 1 and self.model.linear and self.added is None:
+            bases = column_bases(self.model)
+            kept = KeptRows(self.model, [basis.kept for basis in bases])
+        bands, memory = ActuatorBands(self.model.parameters, bases, undriven(self.model.machine.balances)), None
+        middle = float(np.mean(self.log.rows))
+        for block in self.blocks():
+            rows = None
+            if kept is not None:
+                memory = memory if memory is not None and len(memory[0]) == block.stop - block.start else None
+                rows, memory = kept(self.inputs(block), self.force[block], memory)
+            self.fold_block(bands, block, middle, psi, rows)
+        return bands.expanded()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """How the log was treated, in sentences."""
-        left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
-        inside = self.inside[:, None] & np.isfinite(self.force)
-        calm = np.zeros_like(self.known) if self.calm is None else self.calm
-        held, unused = inside & calm, inside & ~self.known & ~calm
-        return (*self.motion.notes, left_out, standstill_note(np.sum(held, axis=0), np.sum(unused, axis=0)),
+        held, unused = (np.zeros(self.force.shape[1], dtype=int) for _ in range(2))
+        for _, part in self.parts():
+            inside = part.inside[:, None] & np.isfinite(part.force)
+            calm = np.zeros_like(part.known) if part.calm is None else part.calm
+            held += np.sum(inside & calm, axis=0)
+            unused += np.sum(inside & ~part.known & ~calm, axis=0)
+        shown = () if self.shown is None else (
+            "figures and diagnostics show samples {} to {}".format(*self.plotted.log.rows),)
+        return (*shown, *self.motion.notes,
+                f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out",
+                "samples per joint at standstill, whose dry friction is bounded but not known: "
+                f"{held.tolist()}; at reversals, where its sign is not known, left out: {unused.tolist()}",
                 *self.remarks)
 
 
@@ -298,12 +303,6 @@ def _spans(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
     changes = (np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist()
     edges = [*([0] if marks[0] else []), *changes, *([len(marks)] if marks[-1] else [])]
     return list(zip(edges[::2], edges[1::2], strict=True))
-
-
-def standstill_note(held: NDArray[np.intp], unused: NDArray[np.intp]) -> str:
-    """How many samples of each joint (n,) stand still and bound their dry friction only, and how many are left out."""
-    return (f"samples per joint at standstill, whose dry friction is bounded but not known: {held.tolist()}; "
-            f"at reversals, where its sign is not known, left out: {unused.tolist()}")
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
@@ -323,29 +322,61 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     """
     machine, given, position_std = model.machine, log, None
     refuse_nothing_to_determine(model)
+    smoothing = smoothing or SmoothingSpline(bandwidth=machine.bandwidth)
+    where, courses = log.path or log.name, Courses.of(model)
+    sample, smoother = log, None
     if calls_for_fit(machine, log):
         log, motion, position_std = sensed(machine, log)
-        angles = motion.q
+        sample, angles = log, motion.q
     else:
-        angles = measured_angles(model, log)
-        motion = condition(log.t, angles, log.segment, smoothing or SmoothingSpline(bandwidth=machine.bandwidth),
-                           angle_noise(model, log), names=machine.joints, where=log.path or log.name)
-    courses = Courses.of(model)
-    positions, followed = courses.measured(angles), courses.smoothed(motion)
-    limits = SpeedLimits.of(positions, followed)
-    phases = Phases.of(positions, followed, limits)
-    motion, (moving, calm) = phases.at_rest(motion), phases.of_balances(courses)
-    often = np.mean(moving, axis=0) > FEW_MOVING
-    attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
+        long = len(log.spans) > 1 and isinstance(smoothing, SmoothingSpline)
+        sample = log.sampled(angle_channels(model, log)) if long else log
+        angles, noise = measured_angles(model, sample), angle_noise(model, sample)
+        if not isinstance(smoothing, SmoothingSpline) or not long:
+            motion = condition(log.t, angles, log.segment, smoothing, noise, names=machine.joints, where=where)
+        else:
+            smoother = Smoother.chosen(sample.t, angles, sample.segment, smoothing, noise, machine.joints, where)
+            motion = smoother.motion(sample.t, angles, sample.segment, where)
+    limits = SpeedLimits.of(courses.measured(angles), courses.smoothed(motion))
+    said, lags = remarks(model, given if sample is log else sample, angles), force_lags(model, log)
+    margin = np.inf if smoother is None or np.any(lags) else smoother.margin + WINDOW
+    made, often = dict[str, NDArray[Any]](), np.zeros(len(machine.balances))
+    for piece, own, inner in log.pieces(margin if margin < PIECE * usual_step(sample.t) else np.inf):
+        if smoother is not None:
+            angles = measured_angles(model, piece)
+            motion = smoother.motion(piece.t, angles, piece.segment, where)
+        phases = Phases.of(courses.measured(angles), courses.smoothed(motion), limits)
+        motion, (moving, calm) = phases.at_rest(motion), phases.of_balances(courses)
+        force = free_forces(model, piece, motion.q)
+        read = np.isfinite(force)
+        known = dry_friction_known(model, motion, moving, limits.noise[: len(machine.joints)]) & read
+        found = {"q": motion.q, "qd": motion.qd, "qdd": motion.qdd, "interior": motion.interior, "force": force,
+                 "known": known, "calm": calm & read}
+        if (pressed := pressures(model, piece)) is not None:
+            found["pressure"] = pressed
+        often += np.sum(moving[inner], axis=0)
+        for name, x in found.items():
+            if piece.size == log.size:
+                made[name] = x
+            else:
+                made.setdefault(name, empty((log.size, *x.shape[1:]), x.dtype))[own] = x[inner]
+    motion = replace(motion, t=log.t, segment=log.segment, q=made["q"], qd=made["qd"], qdd=made["qdd"],
+                     interior=made["interior"])
+    attached = attached_calibrator(model, log, motion, smoothing)
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
-    lags, force = force_lags(model, log), free_forces(model, log, motion.q)
-    read = np.isfinite(force)
-    known = dry_friction_known(model, motion, moving, limits.noise[: len(machine.joints)])
-    known &= (often | ~has_dry_friction(model)) & read
-    made = Experiment(model, log, motion, force, known_in_spite_of(lags, known, motion),
-                      (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      calm & ~known & read, position_std)
-    return made._lagging(lags) if np.any(lags) else made
+    known = made["known"]
+    known[:, ~((often > FEW_MOVING * log.size) | ~has_dry_friction(model))] = False
+    if np.any(lags):
+        known = known_in_spite_of(lags, known, motion)
+    np.logical_and(made["calm"], np.logical_not(known), out=made["calm"])
+    release()
+    shown = None
+    if log.size > SHOWN:
+        middle = int(np.searchsorted(log.sample, sample.sample[sample.size // 2 // BLOCK * BLOCK]))
+        shown = middle, min(middle + BLOCK, log.size)
+    result = Experiment(model, log, motion, made["force"], known, (*said, *calibrator_remark(attached)),
+                        made.get("pressure"), added, made["calm"], position_std, shown)
+    return result._lagging(lags) if np.any(lags) else result
 
 
 def refuse_nothing_to_determine(model: Model) -> None:
@@ -361,7 +392,7 @@ def refuse_nothing_to_determine(model: Model) -> None:
                                "drives"))
 
 
-def channels_used(model: Model, log: AnyLog) -> set[str]:
+def channels_used(model: Model, log: Log) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
     machine = model.machine
     motion = {*motion_channels(machine, log.channels)} if calls_for_fit(machine, log) else angle_channels(model, log)

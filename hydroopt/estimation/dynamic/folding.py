@@ -114,13 +114,6 @@ class ActuatorTriangles:
         self.samples += other.samples
         self.forces += other.forces
 
-    def expanded(self) -> ActuatorTriangles:
-        """The same in all columns of the actuators."""
-        return ActuatorTriangles.of_rows([ColumnBasis.whole(basis.own) for basis in self.bases], self.parameters,
-                                         [folded[0] @ basis.expander
-                                          for basis, folded in zip(self.bases, self.folded, strict=True)],
-                                         self.samples, self.forces)
-
     @property
     def full(self) -> Array:
         """Triangles (n, p+1, p+1) of all columns."""
@@ -130,11 +123,6 @@ class ActuatorTriangles:
             rows = triangle(folded[0] @ basis.expander)
             each[np.ix_(basis.columns[: len(rows)], basis.columns)] = rows
         return out
-
-    def squares(self, v: Array) -> Array:
-        """Sums (n,) of the squares of rows times v (p+1,)."""
-        return np.array([np.sum((folded[0] @ (basis.expander @ v[basis.columns])) ** 2)
-                         for folded, basis in zip(self.folded, self.bases, strict=True)])
 
 
 def triangle(*blocks: Array) -> Array:

@@ -91,32 +91,25 @@ class ActuatorBands:
     def _folded(self) -> tuple[list[Triangles], list[Triangles], list[Triangles]]:
         return self.earlier, self.later, self.across
 
-    def add(self, other: ActuatorBands, step: float = 0.0) -> None:
-        """Add what another has folded: of another log, or of a later piece of the same one, sampled each `step` [s]."""
+    def add(self, other: ActuatorBands) -> None:
+        """Add what another has folded, of another log."""
         for mine, others in zip(self._folded, other._folded, strict=True):
             for own, more in zip(mine, others, strict=True):
                 own.add(more)
         self.counts += other.counts
         self.samples += other.samples
         self.forces += other.forces
-        self.holds.add(other.holds, step)
+        self.holds.add(other.holds)
         self.noise += other.noise
 
     def copy(self) -> ActuatorBands:
         """The same, to which others can be added."""
-        return self.only(np.ones(len(self.bases), dtype=bool))
-
-    def only(self, actuators: NDArray[np.bool_]) -> ActuatorBands:
-        """Nothing but the rows of some actuators (n,), and all holds."""
-        part = object.__new__(ActuatorBands)
-        part.bases, part.contrast, part.parameters = self.bases, self.contrast, self.parameters
-        part.earlier, part.later, part.across = (
-            [rows.copy() if here else Triangles(BANDS, rows.columns)
-             for rows, here in zip(some, actuators, strict=True)] for some in self._folded)
-        part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
-        part.forces, part.holds = self.forces * actuators, self.holds.copy()
-        part.noisy, part.noise = self.noisy, self.noise * actuators[self.noisy, None, None]
-        return part
+        made = object.__new__(ActuatorBands)
+        made.bases, made.contrast, made.parameters = self.bases, self.contrast, self.parameters
+        made.earlier, made.later, made.across = ([rows.copy() for rows in some] for some in self._folded)
+        made.counts, made.samples, made.forces = self.counts.copy(), self.samples.copy(), self.forces.copy()
+        made.holds, made.noisy, made.noise = self.holds.copy(), self.noisy, self.noise.copy()
+        return made
 
     def channels(self, *, contrasts: bool = False) -> tuple[Channel, ...]:
         """The actuators' rows without C_i, or with them, as columns p, p + 1, … of the parameters."""

@@ -21,7 +21,7 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem, identific
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, random_states
 from hydroopt.estimation.inference.least_squares import base_least_squares
-from hydroopt.logs.any_log import AnyLog, in_memory
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.actuators import Actuator, Cylinder
 from hydroopt.machine.links import Note
@@ -148,7 +148,7 @@ def _rms_speeds(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str,
             for actuator, square in zip(model.machine.actuators, squares, strict=True)}
 
 
-def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
+def friction_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log],
                      terms: str, *, smoothing: Smoothing | None = None,
                      actuator_inertia: bool = True) -> IdentificationProblem:
     """The identification problem of a machine with these friction terms; see `identification_problem`.
@@ -159,10 +159,9 @@ def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Seque
         ProblemError, LogError: see `with_friction` and `identification_problem`.
     """
     terms_of(terms, machine)  # before long computations
-    logs, validation = (in_memory(some, "a choice of friction") for some in (logs, validation))
     plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
                                    actuator_inertia=actuator_inertia)
-    speeds = _rms_speeds(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
+    speeds = _rms_speeds(plain.model, [data.inputs() for data in plain.experiments])
 
     def made(scales: Mapping[str, float] | None = None) -> IdentificationProblem:
         return identification_problem(with_friction(machine, terms, speeds=speeds, scales=scales), logs, validation,
@@ -189,7 +188,7 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
             for actuator in balance.actuators}
 
 
-def choose_friction(machine: GivenMachine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
+def choose_friction(machine: GivenMachine, logs: Sequence[Log], validation: Sequence[Log],
                     candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
                     actuator_inertia: bool = True,
                     prepare: Callable[[IdentificationProblem], IdentificationProblem] | None = None,
@@ -288,7 +287,7 @@ def _compared(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
     best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
     # the squared error that superfluous parameters gain or lose by fitting noise
     independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.known, axis=0) / fitted[best_fit].correlation_time))
-                      for e in in_memory(fitted[best_fit].problem.experiments, "a choice of friction"))
+                      for e in fitted[best_fit].problem.experiments)
     differences = {}
     for name in fitted:
         mean, error = _mean_and_error(blocks[name] - blocks[best])

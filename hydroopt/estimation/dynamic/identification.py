@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.reduced_model import reduced_parameters
+from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, reduced_parameters
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import (
@@ -37,8 +37,6 @@ from hydroopt.spatial.inertia import Array
 
 NOMINAL, REDUCED, COMPLETE = "nominal", "reduced", "complete"
 """Models whose predictions stand side by side."""
-WITH_PRIORS = ("sdp", "qp", "nlp")
-"""Methods that use the machine file's priors, bounds and statements; the others compute from the data alone."""
 
 
 class TotalMass(NamedTuple):
@@ -196,7 +194,7 @@ class Identification:
         return {name: {which: self._fit(data, psi) for which, data in sets.items() if data}
                 for name, psi in self.variants.items()}
 
-    def _fit(self, data: tuple[AnyExperiment, ...], psi: Array) -> dict[str, Fit]:
+    def _fit(self, data: tuple[Experiment, ...], psi: Array) -> dict[str, Fit]:
         count, force, squared, error = sum((e.moments(psi) for e in data), np.zeros((4, len(self.sigma))))
         sums = np.array([count, error, squared, squared - force**2 / np.maximum(count, 1)])
         units = self.problem.model.force_units

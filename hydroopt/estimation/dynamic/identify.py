@@ -15,7 +15,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.reduced_model import most_probable
+from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, most_probable
 from hydroopt.estimation.dynamic.training_logs import contradictions, explained
 from hydroopt.estimation.dynamic.weighted_residuals import (
     WeightedResiduals,
@@ -36,7 +36,6 @@ from hydroopt.spatial.inertia import Array
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
 Weighted = WeightedResiduals[IdentificationProblem]
-_LINEAR = ("wls", "ridge", "tsvd")
 MAX_STEPS, SMALLEST_STEP = 60, 1e-6
 """Largest number of Gauss-Newton steps, and smallest step length as a part of the full step."""
 CONVERGED = 1e-7
@@ -82,7 +81,7 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     if ridge is not None and not 0 < ridge < float("inf"):
         raise ProblemError(f"a ridge strength of {ridge:g} is not positive and finite", where="--ridge",
                            remedy="give a positive one, or method wls for none")
-    if method in _LINEAR and (stated := problem.stated_constraints):
+    if method not in WITH_PRIORS and (stated := problem.stated_constraints):
         raise ProblemError(f"method '{method}' cannot honour {listed(stated, 5)}", where="identification",
                            remedy="use qp, sdp or nlp")
     # the matrices are too small for threads
@@ -172,7 +171,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
 def _misfit(estimate: Estimate, psi: Array) -> float:
     """The objective of an estimate's method at ψ (p,), with the same weights and without linearisation."""
     weighted, total = estimate.weighted_residuals, 0.0
-    if estimate.method not in _LINEAR:
+    if estimate.method in WITH_PRIORS:
         total += weighted.problem.prior_misfit(psi)
     return total + misfit(weighted, psi)
 
@@ -182,27 +181,20 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
     """Solve with forces linearised at the parameters `point` (p,)."""
     where = f"identification of {problem.model.machine.name}"
 
-    def least_squares(R: Array, r: Array) -> Array:
-        psi, _, from_data = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-        return linear.nearest(problem.parameters, from_data, psi)
-
-    weighted = weighted_residuals(
-        problem, tolerance,
-        least_squares if method in _LINEAR else lambda R, r: most_probable(problem, method, R, r).psi, point,
-        priors=method not in _LINEAR)
+    weighted = weighted_residuals(problem, tolerance, lambda R, r: most_probable(problem, method, R, r, tolerance).psi,
+                                  point, priors=method in WITH_PRIORS)
     names = problem.parameters.names
     if freed is None or not any(fault.group == "gain" for fault in freed.faults):
         for _ in range(2 if problem.model.machine.faults.gain else 0):  # first about what exact gains lead to
-            at = (linear.base_least_squares(weighted.R, weighted.r, names, tolerance)[0] if method in _LINEAR
-                  else most_probable(problem, method, weighted.R, weighted.r).psi)
+            at = most_probable(problem, method, weighted.R, weighted.r, tolerance).psi
             weighted = with_uncertain_gains(weighted, at)
     weighted = weighted if freed is None else freed.widened(weighted)
     from_data = identifiability.analyse(weighted.plain[0], names, tolerance=tolerance)
     psi, _, _ = linear.base_least_squares(weighted.R, weighted.r, names, tolerance, from_data)
     _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)
-    if method in _LINEAR:
+    if method not in WITH_PRIORS:
         return _linear_estimate(weighted, method, from_data, tolerance, ridge)
-    solution = most_probable(problem, method, weighted.R, weighted.r)
+    solution = most_probable(problem, method, weighted.R, weighted.r, tolerance)
     return _constrained_estimate(weighted, method, solution, from_data, tolerance, intervals, seed)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.forces_from_pressures import force_lags
 from hydroopt.logs.lag import lagged
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -35,7 +35,7 @@ def known_in_spite_of(lags: Array, known: NDArray[np.bool_], motion: Motion) -> 
                             for column, lag in zip(known.T, lags, strict=True)])
 
 
-def refuse_lags(what: str, model: Model, log: AnyLog) -> None:
+def refuse_lags(what: str, model: Model, log: Log) -> None:
     """Refuse forces that lag, which `what` cannot be combined with.
 
     Raises:

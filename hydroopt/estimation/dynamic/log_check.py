@@ -18,7 +18,7 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem, identific
 from hydroopt.estimation.dynamic.training_logs import FORCE_NOT_MEASURED, forces_not_measured
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, Identifiability
 from hydroopt.estimation.inference.least_squares import deviations
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine
@@ -198,7 +198,7 @@ class LogCheck(Answer):
         return "\n".join([*lines, *([] if self.contradictions else [f"  {NOT_JUDGED}"])])
 
 
-def check_logs(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog], *,
+def check_logs(machine: GivenMachine | Model, logs: Log | Sequence[Log], *,
                smoothing: Smoothing | None = None) -> LogCheck:
     """Check logs against a machine: can they be used, what is suspicious, and what would they identify.
 

@@ -33,7 +33,6 @@ from hydroopt.model.carried_load import carried_load
 from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.progress import Progress, silent
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
@@ -41,6 +40,7 @@ from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 LOAD = "load"
 """Owner of the load's parameters."""
@@ -214,7 +214,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
             default the machine file's ``[faults] gain``, or else 0.
         smoothing: how angles are differentiated.
         seed: of the draws of intervals.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         LogError: a log cannot be used.

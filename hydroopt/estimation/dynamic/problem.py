@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.fitted_motion import NumbersBeside
 from hydroopt.estimation.dynamic.instruments import instrument
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
@@ -26,18 +26,16 @@ from hydroopt.estimation.inference.priors import Prior, linear_prior, prior_squa
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
-from hydroopt.logs.stream import LogStream
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model, recent_model
-from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,7 @@ class IdentificationProblem(Shown):
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
         experiments, validation: training data, and data for validation only.
-        force_std: (n,) standard deviations of force readings, NaN if unknown; `reweight` estimates them from residuals.
+        force_std: (n,) standard deviations of force readings, NaN if unknown; residuals estimate them anew.
         constraints, priors, physics: what was added by name.
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
@@ -83,10 +81,9 @@ class IdentificationProblem(Shown):
     """
 
     model: Model
-    experiments: tuple[AnyExperiment, ...]
-    validation: tuple[AnyExperiment, ...] = ()
+    experiments: tuple[Experiment, ...]
+    validation: tuple[Experiment, ...] = ()
     force_std: Array = field(default_factory=lambda: np.empty(0))
-    reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
     priors: tuple[Prior, ...] = ()
     physics: tuple[Condition, ...] = ()
@@ -290,9 +287,8 @@ class IdentificationProblem(Shown):
         if logs and len(logs) != len(self.experiments):
             raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
                                where="instruments", remedy="give one for each training log")
-        held = in_memory(self.experiments, "a second reading")
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
-                                               for k, data in enumerate(held)))
+                                               for k, data in enumerate(self.experiments)))
 
     def by_data_alone(self) -> IdentificationProblem:
         """Without statements and bounds of the machine file about its bodies and friction, for method ``wls``."""
@@ -386,7 +382,7 @@ class IdentificationProblem(Shown):
             information[body.columns, body.columns] = 0.0
         return prior_squares(information, self.parameters.nominal, (*self.stated_priors, *self.priors))
 
-    def with_experiments(self, experiments: Sequence[AnyExperiment], beside: Sequence[NumbersBeside] = ()) -> Self:
+    def with_experiments(self, experiments: Sequence[Experiment], beside: Sequence[NumbersBeside] = ()) -> Self:
         """With other training data, and other numbers fitted along, if there are any."""
         return replace(self, experiments=tuple(experiments), beside=tuple(beside) or self.beside)
 
@@ -445,9 +441,8 @@ class IdentificationProblem(Shown):
                  f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
         for balance, std in zip(machine.balances, self.force_std, strict=True):
             weight = f"σ = {listing.number(std)} {balance.unit}" if np.isfinite(std) else "σ unknown"
-            again = ", re-estimated from the residuals" if self.reweight else ""
             lines.append(f"  residuals of {balance.name}: {LOSSES[self.loss]}, e = f − K·ψ [{balance.unit}], "
-                         f"{weight}{again}")
+                         f"{weight}, re-estimated from the residuals")
         lines += ["  residuals of the actuators correlate: their covariance weights them"] * self.correlated
         lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * self.fitted_motion
         lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
@@ -460,8 +455,8 @@ class IdentificationProblem(Shown):
             parameters, conditions, self.constraints)])
 
 
-def identification_problem(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog],
-                           validation: AnyLog | Sequence[AnyLog] = (), *,
+def identification_problem(machine: GivenMachine | Model, logs: Log | Sequence[Log],
+                           validation: Log | Sequence[Log] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> IdentificationProblem:
     """The dynamic identification problem of a machine and its logs.
 
@@ -482,7 +477,7 @@ def identification_problem(machine: GivenMachine | Model, logs: AnyLog | Sequenc
     >>> identification_problem("cat215b", log).subject_to("arm", "boom.m + stick.m <= 2600 kg").stated_constraints
     ('arm',)
     """
-    logs, validation = (all_of(some, (Log, LogStream), "log", "identification") for some in (logs, validation))
+    logs, validation = (all_of(some, (Log,), "log", "identification") for some in (logs, validation))
     machine = machine if isinstance(machine, Model) else machine_of(machine, "identification_problem")
     refuse_repetition([*logs, *validation])
     if not logs:

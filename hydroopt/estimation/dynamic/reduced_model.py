@@ -23,13 +23,21 @@ from hydroopt.spatial.inertia import Array
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 
+WITH_PRIORS = ("sdp", "qp", "nlp")
+"""Methods that use the machine file's priors, bounds and statements; the others compute from the data alone."""
 
-def most_probable(problem: IdentificationProblem, method: str, R: Array, r: Array) -> Optimum:
-    """The most probable parameters of ``‖R·ψ − r‖²`` by a method with priors: ``sdp``, ``qp`` or ``nlp``.
+
+def most_probable(problem: IdentificationProblem, method: str, R: Array, r: Array, tolerance: float) -> Optimum:
+    """The most probable parameters of ``‖R·ψ − r‖²`` by a method with priors, ``sdp``, ``qp`` or ``nlp``; by others
+    those of least squares on base parameters that are nearest to the nominal ones.
 
     Raises:
         ProblemError, SolverError: as of the solvers.
     """
+    if method not in WITH_PRIORS:
+        parameters = problem.parameters
+        psi, _, found = least_squares.base_least_squares(R, r, parameters.names, tolerance)
+        return Optimum(least_squares.nearest(parameters, found, psi), ())
     posterior = gaussian_posterior(problem, R, r)
     if method == "nlp":
         return nlp.interior_point(problem, posterior)
@@ -69,11 +77,7 @@ def _solved(weighted: WeightedResiduals[IdentificationProblem], restricted: Iden
     if method == "tsvd":
         return least_squares.truncated_svd(R, r, tolerance)[0]
     R, r, _ = _columns(kept, weighted.R, weighted.r, weighted.rest)
-    if method != "wls":
-        return most_probable(restricted, method, R, r).psi
-    parameters = restricted.parameters
-    found, _, identifiable = least_squares.base_least_squares(R, r, parameters.names, tolerance)
-    return least_squares.nearest(parameters, identifiable, found)
+    return most_probable(restricted, method, R, r, tolerance).psi
 
 
 def _columns(kept: Sequence[int], R: Array, r: Array, rest: float) -> tuple[Array, Array, float]:

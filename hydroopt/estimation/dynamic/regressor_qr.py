@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis
-from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.inference.identifiability import analyse
@@ -35,7 +35,7 @@ class CompressedRegressor:
         return split(triangle(*self.triangles / sigma[:, None, None]))
 
 
-def compress(experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
+def compress(experiments: Sequence[Experiment], weights: Sequence[Array] | None = None, *,
              psi: Array | None = None) -> CompressedRegressor:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
     folded = ActuatorTriangles([ColumnBasis.whole(np.flatnonzero(row)) for row in experiments[0].pattern],

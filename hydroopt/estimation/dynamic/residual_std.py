@@ -26,10 +26,6 @@ class ForceProblem(InferenceProblem, Protocol):
     def force_std(self) -> Array:
         """(n,) standard deviation of each actuator's force reading."""
 
-    @property
-    def reweight(self) -> bool:
-        """Whether it is estimated from the residuals."""
-
 
 def noise_of_angles(problem: ForceProblem, folded: Sequence[ActuatorBands], data: CompressedRegressor) -> Array:
     """Standard deviation (n,) that noise of angles gives the residuals of joints that nothing drives, 0 elsewhere.
@@ -51,8 +47,6 @@ def residual_std(problem: ForceProblem, data: CompressedRegressor, tolerance: fl
     stated = np.where(of_angles > 0, of_angles, problem.force_std)
     sigma = np.where(np.isfinite(stated), stated, 0.1 * size)
     sigma = np.where(sigma > 0, sigma, 1.0)
-    if not problem.reweight:
-        return np.asarray(sigma)
     floor = np.maximum(smallest(size), of_angles)
     for _ in range(3):
         psi, rank = least_squares.fitted(*data.weighted(sigma)[:2], tolerance)

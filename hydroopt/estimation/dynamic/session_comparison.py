@@ -17,19 +17,19 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
 from hydroopt.estimation.dynamic.session_model import SIGNIFICANT, Shape, session_model
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, all_prepared
-from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
-from hydroopt.progress import Progress, silent
 from hydroopt.results.diagnostic import Diagnostic, Meaning, listed, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.support.input_file import similar
+from hydroopt.support.progress import Progress, silent
 from hydroopt.units import in_print
 
 METHOD = "linear mixed model"
@@ -283,7 +283,7 @@ def compare(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log | str 
         level: probability of a false alarm.
         smoothing: how angles are differentiated.
         seed: of the draws by which p-values are corrected.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         LogError: a log cannot be used.

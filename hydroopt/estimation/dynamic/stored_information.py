@@ -24,12 +24,12 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.progress import Progress
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import Job, not_an_answer
 from hydroopt.results.status import Status
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress
 
 INFORMATION = "information.csv"
 """File beside estimate.json that holds the triangles of an identification, so that its logs need not be read again."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from hydroopt.checks.plausibility import LOG_MISREAD, contradiction, examine, misread_error, remedy_of
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
-from hydroopt.estimation.dynamic import streamed_experiment
-from hydroopt.estimation.dynamic.experiment import AnyExperiment, refuse_nothing_to_determine
+from hydroopt.estimation.dynamic.experiment import Experiment, experiment, refuse_nothing_to_determine
 from hydroopt.estimation.dynamic.lagging_forces import refuse_lags
-from hydroopt.logs.any_log import AnyLog, both_parts
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.dead_channels import without_dead_channels
 from hydroopt.logs.forces_from_pressures import absent_forces
+from hydroopt.logs.log import SAMPLE, Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic, in_samples, listed, of_kind
@@ -21,7 +23,7 @@ FORCE_NOT_MEASURED = "force not measured in a log"
 """Kind of the diagnostic of a log that lacks channels of actuators."""
 
 
-def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExperiment:
+def prepared(log: Log, model: Model, smoothing: Smoothing | None) -> Experiment:
     """A log as an experiment.
 
     Raises:
@@ -30,22 +32,34 @@ def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExper
     """
     refuse_nothing_to_determine(model)
     try:
-        return streamed_experiment.prepared(without_dead_channels(model.machine, log), model, smoothing)
+        return experiment(model, without_dead_channels(model.machine, log), smoothing)
     except HydrooptError as error:
         raise misread_error(model, log) or error from None
 
 
-def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
+def contradictions(model: Model, experiments: Sequence[Experiment]) -> tuple[Diagnostic, ...]:
     """What contradicts the machine file in the logs as they are read; both parts of a split log as one."""
-    logs: dict[str, AnyLog] = {}
+    logs: dict[str, Log] = {}
     for data in experiments:
         name, log = data.log.sha256 or str(id(data.log)), data.log
         before = logs.get(name)
-        logs[name] = log if before is None else both_parts(before, log)
+        logs[name] = log if before is None else _both_parts(before, log)
     return tuple(found for log in logs.values() for found in examine(model, log))
 
 
-def forces_not_measured(model: Model, experiments: Sequence[AnyExperiment]) -> Iterator[Diagnostic]:
+def _both_parts(first: Log, second: Log) -> Log:
+    """A log of two parts of one file as it was before the split, with the channels of both; the first one alone where
+    it is long, or samples do not follow."""
+    if first.size > SAMPLE or second.sample[0] <= first.sample[-1]:
+        return first
+    return replace(first, t=np.concatenate([first.t, second.t]), recording=None,
+                   channels={name: np.concatenate([values, second.channels[name]])
+                             for name, values in first.channels.items() if name in second.channels},
+                   sample=np.concatenate([first.sample, second.sample]),
+                   segment=np.concatenate([first.segment, second.segment]))
+
+
+def forces_not_measured(model: Model, experiments: Sequence[Experiment]) -> Iterator[Diagnostic]:
     """Logs that do not tell the force of a measured actuator; both parts of a split log as one."""
     absent = {data.log.path or data.log.name: lacking for data in experiments
               if (lacking := absent_forces(model, data.log))}
@@ -56,7 +70,7 @@ def forces_not_measured(model: Model, experiments: Sequence[AnyExperiment]) -> I
             "Record or map what is missing; state measured = false of an actuator that is never measured.")
 
 
-def losses(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
+def losses(model: Model, experiments: Sequence[Experiment]) -> tuple[Diagnostic, ...]:
     """What logs lack: forces, and samples without a number."""
     samples = (in_samples(data.log.path or data.log.name, finding.text)
                for data in experiments for finding in data.log.findings if finding.kind in ("nan", "dead"))
@@ -70,7 +84,7 @@ def explained(error: HydrooptError, of_logs: Sequence[Diagnostic]) -> HydrooptEr
                        remedy=remedy_of(misread[0])) if misread else error
 
 
-def refuse_added(what: str, experiments: Sequence[AnyExperiment]) -> None:
+def refuse_added(what: str, experiments: Sequence[Experiment]) -> None:
     """Refuse logs with a calibrator attached or with forces that lag, which `what` cannot be combined with.
 
     Raises:
@@ -83,7 +97,7 @@ def refuse_added(what: str, experiments: Sequence[AnyExperiment]) -> None:
                                where=data.log.path or data.log.name, remedy="choose one of the two")
 
 
-def refuse_repetition(logs: Sequence[AnyLog]) -> None:
+def refuse_repetition(logs: Sequence[Log]) -> None:
     """Refuse the same samples twice: they would count twice, or validate an estimate by its training data."""
     for k, log in enumerate(logs):
         for other in logs[:k]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, LogError
 from hydroopt.estimation.dynamic import fitted_motion
-from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.fitted_motion import FittedMotion, NumbersBeside
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
@@ -34,7 +34,6 @@ from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
 from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
-from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
@@ -54,7 +53,7 @@ class ResidualProblem(ForceProblem, Protocol):
     """The part of a problem that weighting its residuals needs; attributes as of `IdentificationProblem`."""
 
     @property
-    def experiments(self) -> tuple[AnyExperiment, ...]:
+    def experiments(self) -> tuple[Experiment, ...]:
         """Training data."""
 
     @property
@@ -77,7 +76,7 @@ class ResidualProblem(ForceProblem, Protocol):
     def instruments(self) -> tuple[Motion, ...]:
         """A second motion of each experiment, if any."""
 
-    def with_experiments(self, experiments: Sequence[AnyExperiment], beside: Sequence[NumbersBeside] = ()) -> Self:
+    def with_experiments(self, experiments: Sequence[Experiment], beside: Sequence[NumbersBeside] = ()) -> Self:
         """The same problem with other training data, and other numbers fitted along, if there are any."""
 
 
@@ -210,9 +209,8 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         SolverError: a fitted motion does not converge.
     """
     model, experiments = problem.model, problem.experiments
-    loaded = _loaded(problem)
     point = problem.parameters.nominal if point is None else point
-    folded = [data.bands(point).expanded() for data in experiments]
+    folded = [data.bands(point) for data in experiments]
     data = compressed(folded)
     _refuse_impossible_postures(problem, data)
     holds = folded[0].holds.copy()
@@ -232,12 +230,12 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded, problem.beside),
+        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, experiments, problem.beside),
                                 _covariance(correlation, sigma), weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()
-    least, wide = smallest(rms_force(problem, data)) if problem.reweight else sigma, sigma
+    least, wide = smallest(rms_force(problem, data)), sigma
     motion = InMotion(problem, folded, sigma, least)
     if np.any(holds.counts):
         wide = sigma * np.sqrt(motion.correlation_time)
@@ -252,9 +250,9 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
                                 where)
         plain = fit.R, fit.r, fit.rest
     elif problem.instruments:
-        plain = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
+        plain = compress_instrumented(model, experiments, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        plain = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
+        plain = compress_jointly(model, experiments, _covariance(correlation, wide), weights, psi=point)
     R, r, rest = plain = split(triangle(_triangle(*plain), *found.holds))
     scores: tuple[ScoreRows, ...] = ()
     if mixed:
@@ -327,7 +325,7 @@ def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
     problem = weighted.problem
     total = float(sum(np.sum((rows @ np.append(psi, -1.0)) ** 2) for rows in weighted.holds))
     wide = weighted.sigma * np.sqrt(weighted.correlation_time)
-    for residual, data in zip(_residuals(problem, psi), _loaded(problem), strict=True):
+    for residual, data in zip(_residuals(problem, psi), problem.experiments, strict=True):
         taken = data.inside[:, None] & data.known
         if problem.loss == "squares":
             total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(weighted.correlation, wide)) ** 2))
@@ -378,10 +376,9 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
         R, r, _ = data.weighted(sigma)
         before, psi = psi, gaussian_posterior(problem, R, r).offset
         residuals = _residuals(problem, psi)
-        if problem.reweight:
-            taken = np.concatenate(_taken(problem, residuals))
-            read, sigma = np.any(np.isfinite(taken), axis=0), sigma.copy()
-            sigma[read] = np.maximum(1.4826 * np.nanmedian(np.abs(taken[:, read]), axis=0), floor[read])
+        taken = np.concatenate(_taken(problem, residuals))
+        read, sigma = np.any(np.isfinite(taken), axis=0), sigma.copy()
+        sigma[read] = np.maximum(1.4826 * np.nanmedian(np.abs(taken[:, read]), axis=0), floor[read])
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
@@ -393,33 +390,21 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
     count = np.sum(np.isfinite(slopes), axis=0)
     mean = np.where(count > 0, np.nansum(slopes, axis=0) / np.maximum(count, 1), 1.0)
     pseudo = [replace(e, force=e.force - res + weight * res / mean)
-              for e, res, weight in zip(_loaded(problem), residuals, weights, strict=True)]
+              for e, res, weight in zip(problem.experiments, residuals, weights, strict=True)]
     bands = [one.bands(point) for one in pseudo]
     for one, other in zip(bands, folded, strict=True):
         one.holds = other.holds
     return data, sigma, weights, bands
 
 
-def _loaded(problem: ResidualProblem) -> tuple[Experiment, ...]:
-    """The experiments of a problem that needs all samples at once; else none.
-
-    Raises:
-        ProblemError: a log is read in pieces.
-    """
-    needs = {f"the loss '{problem.loss}'": problem.loss != "squares", "the correlation of channels": problem.correlated,
-             "a fitted motion": problem.fitted_motion, "a second reading": bool(problem.instruments),
-             "friction that is not linear": not problem.model.linear}
-    return next((in_memory(problem.experiments, what) for what, so in needs.items() if so), ())
-
-
 def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
-    return [e.force - e.predicted(psi) for e in _loaded(problem)]
+    return [e.force - e.predicted(psi) for e in problem.experiments]
 
 
 def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals, NaN where they are not used."""
     return [np.where(e.inside[:, None] & e.known, res, np.nan)
-            for res, e in zip(residuals, _loaded(problem), strict=True)]
+            for res, e in zip(residuals, problem.experiments, strict=True)]
 
 
 def _correlation(problem: ResidualProblem, psi: Array) -> Array:

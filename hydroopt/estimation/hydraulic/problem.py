@@ -24,10 +24,10 @@ from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterSet, parameter_table
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Card, Shown
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
 """Channels of the pressures that feed and drain the valves."""

@@ -21,7 +21,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import recent_chain
-from hydroopt.notebook_card import Shown
+from hydroopt.support.notebook_card import Shown
 
 UNFILLED = "fill in what the sensors and instruments read at each pose"
 """Remedy for a table of poses that was not measured."""

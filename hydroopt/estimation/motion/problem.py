@@ -27,8 +27,8 @@ from hydroopt.logs.recording import Recording
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.sensor_readings import SensorReadings
-from hydroopt.notebook_card import Shown
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 FASTEST = 5.0
 """Frequency [Hz] up to which a machine's motion is resolved whose file states no bandwidth."""

@@ -16,7 +16,6 @@ from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.paths import motion
 from hydroopt.estimation.motion.problem import FASTEST, SensorProblem
-from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion, inside
@@ -33,7 +32,7 @@ POSITIONS = ("q", "length")
 """Endings of channels that tell positions, which alone call for no fit."""
 
 
-def calls_for_fit(machine: Machine, log: AnyLog) -> bool:
+def calls_for_fit(machine: Machine, log: Log) -> bool:
     """Whether a log has rates, accelerations or inclinations with a stated accuracy, or positions that lag."""
     return any(channel.rpartition(".")[2] not in (*POSITIONS, "x", "y", "z") or machine.lag(channel).value
                for channel in motion_channels(machine, log.channels))

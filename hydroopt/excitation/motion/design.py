@@ -32,17 +32,17 @@ from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
 from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
-from hydroopt.interrupt import deferred
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.uncertain import UncertainParameters
-from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.model import recent_model
-from hydroopt.processes import pool
-from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.interrupt import deferred
+from hydroopt.support.processes import pool
+from hydroopt.support.progress import Progress, silent
 
 FIRST_CRITERION, FIRST_STEPS, OWN_STEPS = "D", 25, 15
 """Criterion by which each start takes so many steps, and steps by another criterion before the best by it go on. D asks
@@ -62,7 +62,7 @@ T = TypeVar("T")
 
 
 def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
-                       priors: bool = False, logs: Sequence[AnyLog] = (), rate: float | None = None,
+                       priors: bool = False, logs: Sequence[Log] = (), rate: float | None = None,
                        resting: Mapping[str, float] | None = None, reserves: Reserves = DEFAULT,
                        known: UncertainParameters | None = None) -> ExcitationProblem:
     """The design of a motion with the most information on a machine's parameters, within its limits.

@@ -26,7 +26,6 @@ from hydroopt.estimation.inference.whitening import WIDEST, gaussian_posterior
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.limits.uncertain import UncertainParameters
 from hydroopt.logs import spline
-from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
@@ -61,7 +60,7 @@ class ExpectedAccuracy:
     by_force: Array
 
 
-def measured_information(machine: Machine, logs: Sequence[AnyLog]) -> Array:
+def measured_information(machine: Machine, logs: Sequence[Log]) -> Array:
     """Information (p, p) on ψ of logs already measured, weighted by their residuals.
 
     Raises:
@@ -120,7 +119,7 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     log = simulate(model, motion, seed=seed, name="expected")
     problem = identification_problem(machine, [log]).by_data_alone()
     estimate, noise = identify(problem, "wls"), presumed_noise(model)
-    (data,) = in_memory(problem.experiments, "the expected accuracy")
+    (data,) = problem.experiments
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
     slow = np.where(stated, estimate.correlation_time, 1.0)

@@ -17,8 +17,8 @@ from hydroopt.excitation.criteria import DesignParameters, Information
 from hydroopt.excitation.motion.basis import Basis, Rows, check
 from hydroopt.limits.limits import Limits
 from hydroopt.machine.machine import Machine
-from hydroopt.notebook_card import Card, Shown
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Card, Shown
 
 NODES, GRID = 12, 48
 """Times in a period of the fastest wave at which the criterion is evaluated, and at which limits are kept."""

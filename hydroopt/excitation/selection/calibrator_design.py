@@ -29,11 +29,11 @@ from hydroopt.excitation.selection.exchange import best_poses
 from hydroopt.excitation.selection.pose_plan import PosePlan
 from hydroopt.excitation.selection.pose_problem import measured_along, pose_problem
 from hydroopt.machine.machine_file import dump_machine
-from hydroopt.progress import Progress, silent
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
+from hydroopt.support.progress import Progress, silent
 
 PART = ("theta", "d", "a", "alpha")
 """Numbers of a part, in the order of Eq. 3.8."""
@@ -223,7 +223,7 @@ def design_calibrator(problem: CalibratorProblem, *, starts: int = 3, effort: fl
         starts: calibrators of each construction that are sized together with their poses.
         effort: part of the usual number of random calibrators and rounds.
         seed: of all random numbers.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: no calibrator closes within the limits, or none suffices.

@@ -34,9 +34,9 @@ from hydroopt.excitation.selection.candidate_postures import Sieve
 from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, calibration_of, pose_problem
 from hydroopt.limits.postures import LeftOut
 from hydroopt.parameters.parameter_set import ParameterKind
-from hydroopt.progress import Progress
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress
 
 CLOSE = 1e-4
 """By how much limits may be missed."""

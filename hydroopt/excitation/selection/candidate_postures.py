@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, measured_along
 from hydroopt.limits.postures import LeftOut, PostureLimits
-from hydroopt.progress import Progress, silent
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 TRIES, RARE = 30, 200
 """Random postures of which at least one must close within its limits; of those that close one must keep the reserves.

@@ -20,8 +20,8 @@ from hydroopt.excitation.criteria import FAINT, scores
 from hydroopt.excitation.selection.candidate_postures import DRAWN, in_passes, in_safe_order, random_candidates
 from hydroopt.excitation.selection.pose_plan import PosePlan
 from hydroopt.excitation.selection.pose_problem import PoseProblem, linearised, measured_along
-from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 HELPS = 1e-9
 """Relative gain of the criterion from which on an exchange of two poses helps."""
@@ -41,7 +41,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         problem: how many poses of which groups, by which criterion.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, a parameter in focus is not identifiable, or there are too few

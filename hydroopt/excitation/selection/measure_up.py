@@ -3,8 +3,8 @@
 A measure-up needs no rig: prisms, tapes, a level, and datums to touch, as the machine file states them. Each reading by
 hand takes minutes; joint sensors, and what is said to take none, read by themselves in every posture. A greedy search
 adds the reading that lowers the tip's mean variance over the workspace most per minute, until the tip is known well
-enough, and leaves out what is then superfluous. Then postures are exchanged: each in turn is taken away, and others are
-searched in its place, as long as minutes are saved.
+enough, and leaves out what is then superfluous. Then postures are exchanged: one or two in turn are taken away, and
+others are searched in their place, as long as minutes are saved.
 """
 
 from __future__ import annotations
@@ -28,14 +28,16 @@ from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Readi
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
-from hydroopt.progress import Progress, silent
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.progress import Progress, silent
 
 Chosen = NDArray[np.bool_]
 """Which of R readings are taken in which of N candidate postures, (N, R)."""
+HELPS = 1e-6
+"""Part by which an exchange that saves no minutes must lower the tip's variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +266,7 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
         problem: what may be read, and how well the tip is to be known.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, or no choice reaches the accuracy.
@@ -309,29 +311,34 @@ class _Choice:
         """Mean variance of the tip [m²] over the workspace by an information (f, f)."""
         return float(np.sum(self.task * np.linalg.solve(information, self.task.T).T))
 
-    def spent(self, chosen: Chosen) -> float:
-        """Minutes of readings."""
-        return float(DRIVE * chosen.any(axis=1).sum() + (chosen * self.minutes).sum())
+    def worth(self, chosen: Chosen) -> tuple[float, float]:
+        """Minutes of readings, then the variance of the tip [m²]: less is better."""
+        spent = DRIVE * chosen.any(axis=1).sum() + (chosen * self.minutes).sum()
+        return float(spent), self.variance(self.postures.information(chosen))
 
-    def reaching(self, chosen: Chosen, most: float = np.inf) -> Chosen | None:
+    def reaching(self, chosen: Chosen, worth: tuple[float, float] = (np.inf, np.inf)) -> Chosen | None:
         """These readings and the most useful ones per minute, until the tip is known well enough, without those that
-        are then superfluous; None where that is not possible in less than so many minutes."""
-        while self.variance(self.postures.information(chosen)) > self.target:
-            more = self.with_best(chosen) if self.spent(chosen) < most else None
+        are then superfluous; None where that is no better than a stated worth."""
+        spent, variance = self.worth(chosen)
+        while variance > self.target:
+            more = self.with_best(chosen) if spent < worth[0] else None
             if more is None:
                 return None
             chosen = more
+            spent, variance = self.worth(chosen)
         chosen = self.without_superfluous(chosen)
-        return chosen if self.spent(chosen) < most else None
+        return chosen if self.worth(chosen) < worth else None
 
     def exchanged(self, chosen: Chosen) -> Chosen:
-        """Other readings in place of those of one posture after another, as long as minutes are saved."""
+        """Other readings in place of those of one posture after another, then of two that follow each other, as long
+        as minutes are saved, or the tip is known better in as many."""
         helped = True
         while helped:
-            helped = False
-            for k in np.flatnonzero(chosen.any(axis=1)):
-                rest = np.where((np.arange(len(chosen)) == k)[:, None], False, chosen)
-                if (other := self.reaching(rest, self.spent(chosen))) is not None:
+            helped, places = False, np.flatnonzero(chosen.any(axis=1))
+            for some in (*places[:, None], *np.column_stack([places, np.roll(places, -1)])):
+                rest, (spent, variance) = chosen.copy(), self.worth(chosen)
+                rest[some] = False
+                if (other := self.reaching(rest, (spent, variance * (1 - HELPS)))) is not None:
                     chosen, helped = other, True
         return chosen
 

@@ -20,10 +20,10 @@ from hydroopt.logs.poses import Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.notebook_card import Shown
 
 OBJECTIVES = {
     "D": "the log-determinant of the covariance", "A": "the sum of the variances",

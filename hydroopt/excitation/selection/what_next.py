@@ -21,10 +21,7 @@ from hydroopt.excitation.selection.goals import Goal
 from hydroopt.excitation.selection.knowledge import Knowledge
 from hydroopt.excitation.selection.measurements import Measurement
 from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
-from hydroopt.files import encoded
-from hydroopt.input_file import read_text
 from hydroopt.machine.machine import Machine
-from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import FILES, Job
@@ -32,6 +29,9 @@ from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Usable, Use
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.files import encoded
+from hydroopt.support.input_file import read_text
+from hydroopt.support.progress import Progress, silent
 
 ADDITION = "addition.toml"
 """File with what the next measurement needs beside the machine file."""
@@ -269,7 +269,7 @@ def plan_next(problem: WhatNextProblem, *, minutes: float = np.inf, least: float
         minutes: that may be spent.
         least: gain per minute, as a part of σ, below which to stop.
         lookahead: whether two measurements are looked at together.
-        progress: receives the steps, see `hydroopt.progress`.
+        progress: receives the steps, see `hydroopt.support.progress`.
 
     Raises:
         ProblemError: minutes or the least gain are no such numbers, or the problem's are wrong.

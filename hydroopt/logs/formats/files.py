@@ -48,6 +48,9 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
                 for name, sheet in foreign.sheets.items():
                     full = f"{front}:{name}" if front and name else front or name
                     sheets.append(Sheet(full, f"{file}, {name}" if name else file, sheet, foreign.titles[name]))
+            elif kind == "parquet" and not file.lower().endswith(".gz"):
+                digests.append(_digest(file, float("inf")))
+                sheets.append(Sheet(front, file, ParquetFile(Path(file), file, layout)))
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)
@@ -99,15 +102,15 @@ def _size(path: str) -> int:
     return os.path.getsize(path)
 
 
-def _digest(path: str) -> str:
-    """SHA-256 of a file, or of those of a directory's files, by name.
+def _digest(path: str, most: float = EXPANDED_LIMIT) -> str:
+    """SHA-256 of a file of at most so many bytes, or of those of a directory's files, by name.
 
     Raises:
         LogError: it cannot be read, is empty or too large.
     """
     try:
         size = _size(path)
-        if size > EXPANDED_LIMIT:
+        if size > most:
             raise LogError(f"it has {size / 1e9:.1f} GB", where=path, remedy="split it")
         if size == 0:
             raise LogError("the file is empty", where=path, remedy="record it again")

@@ -21,7 +21,7 @@ from hydroopt.logs.formats.log_file import LogFile
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.stamps import Stamps
 from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, check_size, find_column, selected, unreadable
-from hydroopt.packages import install
+from hydroopt.support.packages import install
 
 NAMES = {"hdf5": "HDF5", "mat": "MATLAB", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet",
          "tdms": "TDMS", "mdf": "MDF", "bags": "ROS bag or MCAP"}

@@ -1,6 +1,5 @@
 """Parquet files and Arrow tables; sizes are judged before anything is allocated."""
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,21 +10,20 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.mapped import empty, release, stored
 from hydroopt.logs.table import (
-    Array,
     NoNumbersError,
     RawKey,
     Table,
     check_size,
-    ends,
     find_column,
     selected,
     unreadable,
 )
-from hydroopt.packages import needed
+from hydroopt.support.packages import needed
 
 BATCH = 2**16
-"""Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
+"""Rows decoded at a time, and bytes read at a time."""
 
 
 class ParquetFile:
@@ -56,11 +54,6 @@ class ParquetFile:
         self.header: list[str] = [f"{field.name} [s]" if field.name == "t" and types.is_timestamp(field.type)
                                   else field.name for field in self._file.schema_arrow]
 
-    @property
-    def selected(self) -> tuple[int, int]:
-        """First and last 1-based data row that the map selects."""
-        return ends(self.meta.num_rows, self._rows, self.where)
-
     def _column(self, key: RawKey, *, moment: bool = False) -> str:
         """The name of a column of numbers, or of moments."""
         from pyarrow import types  # noqa: PLC0415 (import cost)
@@ -77,39 +70,6 @@ class ParquetFile:
                            remedy="convert the column to float64")
         return name
 
-    def pieces(self, keys: Sequence[RawKey], ranges: Sequence[tuple[int, int]],
-               time: RawKey | None = None) -> Iterator[Table]:
-        """The columns `keys` as numbers, nulls NaN, of ranges of 1-based data rows (first, last) that may overlap.
-
-        The ranges come in the order of both their ends. No more of the file is held than the widest of them. A `time`
-        of dates or of an epoch comes as stamps, too.
-        """
-        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
-
-        names = [self._column(key, moment=key == time) for key in keys]
-        held: list[tuple[int, list[NDArray[Any]]]] = []  # first row, and columns
-        waiting = deque(ranges)
-        batches = self._batches(names, ranges)
-        while waiting:
-            first, last = waiting[0]
-            held = [(row, columns) for row, columns in held if row + columns[0].size > first]
-            while not held or held[-1][0] + held[-1][1][0].size <= last:
-                try:
-                    row, batch = next(batches)
-                    if row + batch.num_rows > first:
-                        held.append((row, [self._numbers(batch.column(name), moment=key == time)
-                                           for key, name in zip(keys, names, strict=True)]))
-                except (ArrowException, OSError, ValueError) as error:
-                    raise unreadable("Parquet", self.where, error) from None
-                except StopIteration:
-                    raise unreadable("Parquet", self.where, ValueError("fewer rows than declared")) from None
-            parts = [[column[max(0, first - row) : last + 1 - row] for column in columns] for row, columns in held]
-            columns = dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True))
-            made = stamps.of_column(columns[time]) if time in columns else None
-            yield Table({key: x.astype(float, copy=False) for key, x in columns.items()}, np.arange(first, last + 1),
-                        stamps=made)
-            waiting.popleft()
-
     @staticmethod
     def _numbers(column: Any, *, moment: bool) -> NDArray[Any]:
         """An Arrow array as floating point; of a time as dates or whole numbers where it holds these."""
@@ -121,55 +81,55 @@ class ParquetFile:
                 return np.asarray(values)
         return np.asarray(column.cast("float64", safe=False), dtype=float)
 
-    def extremes(self, key: RawKey, rows: tuple[int, int]) -> tuple[float, float] | None:
-        """The least and the greatest number of a column in data rows (first, last), as the file states them; None where
-        it does not, or only together with other rows."""
-        column, begin = self._names.index(self._column(key)), 1
-        found: list[tuple[float, float]] = []
-        for k in range(self.meta.num_row_groups):
-            group = self.meta.row_group(k)
-            end = begin + group.num_rows - 1
-            if begin <= rows[1] and end >= rows[0]:
-                stated = group.column(column).statistics if group.num_columns == len(self._names) else None
-                if begin < rows[0] or end > rows[1] or stated is None or not stated.has_min_max:
-                    return None
-                if not isinstance(stated.min, int | float):  # of a damaged file
-                    return None
-                found.append((float(stated.min), float(stated.max)))
-            begin = end + 1
-        least, most = zip(*found, strict=True)
-        return min(least), max(most)
-
-    def _batches(self, names: list[str], ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, Any]]:
-        """(first row, Arrow record batch) of the row groups that hold any of the ranges."""
-        row = 1
-        for group in range(self.meta.num_row_groups):
-            stop = row + self.meta.row_group(group).num_rows
-            if any(first < stop and last >= row for first, last in ranges):
-                for batch in self._file.iter_batches(BATCH, [group], list(dict.fromkeys(names)), use_threads=False):
-                    yield row, batch
-                    row += batch.num_rows
-            row = stop
-
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
         """The columns `keys` as numbers, where nulls are NaN, and the columns `texts` as texts."""
         from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
 
-        rows = selected(self.meta.num_rows, self._rows, self.where)
-        columns: dict[RawKey, Array] = {}
-        made = None
-        for key in keys:
-            name = self._column(key, moment=key == time)
-            try:
-                values = self._numbers(self._file.read(columns=[name]).column(0).combine_chunks(), moment=key == time)
-                if key == time and (made := stamps.of_column(values[rows - 1])) and not made.unit:
-                    columns[key] = made.seconds()
-                    continue
-                columns[key] = values.astype(float)[rows - 1]
-            except (ArrowException, OSError, ValueError, IndexError) as error:
-                raise unreadable("Parquet", self.where, error) from None
+        rows, made = selected(self.meta.num_rows, self._rows, self.where), None
+        names = {key: self._column(key, moment=key == time) for key in keys}
+        columns: dict[RawKey, NDArray[Any]] = {key: empty(rows.size) for key in keys if key != time}
+        try:
+            if time is not None and time in names:
+                stamped = self._stamped(names[time], rows)
+                made = stamps.of_column(stamped)
+                columns[time] = stored(made.seconds() if made and not made.unit else stamped.astype(float, copy=False))
+            for place, batch in self._batches([names[key] for key in keys if key != time], rows):
+                for key in columns.keys() - {time}:
+                    columns[key][place] = self._numbers(batch.column(names[key]), moment=False)
+        except (ArrowException, OSError, ValueError, IndexError) as error:
+            raise unreadable("Parquet", self.where, error) from None
+        for column in columns.values():
+            column.setflags(write=False)
         return Table(columns, rows, stamps=made, texts={
             key: [cells[row - 1] for row in rows] for key, cells in zip(texts, map(self._text, texts), strict=True)})
+
+    def _stamped(self, name: str, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """A column of times (N,), in floating point only where a batch needs it."""
+        made = np.empty(0)
+        for place, batch in self._batches([name], rows):
+            part = self._numbers(batch.column(0), moment=True)
+            kind = np.result_type(made, part) if place.start else part.dtype
+            if kind != made.dtype or not made.size:
+                before, made = made, empty(rows.size, kind)
+                made[: place.start] = before[: place.start]
+            made[place] = part
+        return made
+
+    def _batches(self, names: Sequence[str], rows: NDArray[np.int64]) -> Iterator[tuple[slice, Any]]:
+        """Arrow record batches of columns in consecutive data rows (N,), with their places among these."""
+        end, first, last = 0, int(rows[0]) - 1, int(rows[-1])
+        for group in range(self.meta.num_row_groups if names else 0):
+            row, end = end, end + self.meta.row_group(group).num_rows
+            if end <= first or row >= last:
+                continue
+            for batch in self._file.iter_batches(BATCH, [group], list(dict.fromkeys(names)), use_threads=False):
+                a, b = max(first, row), min(last, row + batch.num_rows)
+                if a < b:
+                    yield slice(a - first, b - first), batch.slice(a - row, b - a)
+                row += batch.num_rows
+                release()
+            if row != end:
+                raise ValueError("fewer rows than declared")
 
     def _text(self, key: Key) -> list[str]:
         from pyarrow import ArrowException  # noqa: PLC0415 (import cost)

@@ -18,8 +18,8 @@ import numpy as np
 
 def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests about a file of a kind until there are no more."""
-    from hydroopt import memory  # noqa: PLC0415
     from hydroopt.logs.formats.decoders.content import UnreadableError  # noqa: PLC0415
+    from hydroopt.support import memory  # noqa: PLC0415
 
     try:
         decoder = importlib.import_module(f"hydroopt.logs.formats.decoders.{'hdf5' if kind == 'mat73' else kind}")
@@ -64,7 +64,7 @@ def main() -> None:
     """Serve the file that the arguments name, within limits of memory [bytes] and time [s]."""
     kind, path, most, seconds, root = json.loads(sys.argv[1])
     sys.path.insert(0, root)
-    from hydroopt import memory  # noqa: PLC0415
+    from hydroopt.support import memory  # noqa: PLC0415
 
     answers = sys.stdout.buffer
     sys.stdout = sys.stderr  # what a library prints is no answer

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.input_file import similar
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import build_machine
 from hydroopt.machine.range_checks import over_range
 from hydroopt.machine.robot_formats.reading import RobotFile
+from hydroopt.support.input_file import similar
 from hydroopt.units import to_si
 
 _MARGIN = 0.01

@@ -13,8 +13,8 @@ from hydroopt.errors import MachineError
 from hydroopt.machine.robot_formats.frames import CentralInertia, from_quaternion, pose, shift, turn_about
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin, one_tree
 from hydroopt.machine.robot_formats.xml_in import robot_element
-from hydroopt.packages import needed
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.packages import needed
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.input_file import read_text, toml
 from hydroopt.machine.file_schema import validate
 from hydroopt.machine.robot_formats.frames import Numbers
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.input_file import read_text, toml
 from hydroopt.units import to_si
 
 SUFFIX = ".sidecar.toml"

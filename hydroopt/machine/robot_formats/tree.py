@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.input_file import similar
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.input_file import similar
 
 Kind = Literal["revolute", "prismatic", "fixed"]
 

@@ -11,11 +11,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.input_file import JSON_LIMIT, read_text
 from hydroopt.machine.robot_formats.frames import ORIGIN, from_roll_pitch_yaw, inverse, pose
 from hydroopt.machine.robot_formats.tree import Kind, Mimic, RobotTree, Spring, TreeJoint, like, one_tree
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
+from hydroopt.support.input_file import JSON_LIMIT, read_text
 
 LARGEST = 1e9
 """What numbers are below; limits from here on are none."""

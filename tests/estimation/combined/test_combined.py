@@ -25,7 +25,6 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem, identific
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.estimation.kinematic.calibration import calibrate
 from hydroopt.kernels.native import FEW
-from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
@@ -76,7 +75,7 @@ def estimate(machine: Machine, noisy: Log) -> CombinedEstimate:
 
 def at_truth(machine: Machine, problem: IdentificationProblem, truth: dict[str, Array], joints: Array) -> LogGeometry:
     """The numbers of a log at their true values, with the calibrator's true angles."""
-    found = postures(machine, in_memory(problem.experiments, "test"))
+    found = postures(machine, problem.experiments)
     theta = found.parameters.nominal.copy()
     count = len(truth["g"])
     theta[:count] = truth["g"]
@@ -118,7 +117,7 @@ def test_forces_are_derived_as_by_finite_differences(machine: Machine, truth: di
     log, joints = exact
     problem = identification_problem(machine, log)
     beside = at_truth(machine, problem, truth, joints)
-    (data,) = in_memory(problem.experiments, "test")
+    (data,) = problem.experiments
     data = replace(data, motion=replace(data.motion, q=joints[:, :3]))
     made = beside.forces(data, truth["psi"])
     names, count = beside.names, len(truth["g"])
@@ -141,10 +140,10 @@ def test_the_fit_is_the_optimum_of_the_whole_problem(machine: Machine, noisy: Lo
     """No parameter, number of the geometry or coefficient of the motion can be changed with gain: by the objective
     written anew, with splines of SciPy, lengths and loops of the kinematic model, and models of other geometries."""
     problem = identification_problem(machine, noisy)
-    kinematics = calibrate(postures(machine, in_memory(problem.experiments, "test")))
+    kinematics = calibrate(postures(machine, problem.experiments))
     force = ForcesByGeometry(problem.model, kinematics.problem.model.parameters.names)
     about = _about(CombinedProblem(problem), _beside(problem, force, kinematics), kinematics)
-    (data,) = in_memory(about.experiments, "test")
+    (data,) = about.experiments
     sigma = np.array([600.0, 2500.0, 1800.0])
 
     def most_probable(R: Array, r: Array) -> Array:
@@ -241,7 +240,7 @@ def test_without_doubt_about_the_geometry_bodies_are_those_of_a_fitted_motion(ma
 def _known(machine: Machine, log: Log) -> IdentificationProblem:
     """The problem about the nominal geometry, with readings that say nothing of the motion."""
     problem = identification_problem(machine, log)
-    kinematics = calibrate(postures(machine, in_memory(problem.experiments, "test")))
+    kinematics = calibrate(postures(machine, problem.experiments))
     nominal = replace(kinematics, theta=kinematics.problem.start)
     force = ForcesByGeometry(problem.model, kinematics.problem.model.parameters.names)
     (beside,) = _beside(problem, force, nominal)
@@ -300,7 +299,7 @@ def test_lengths_alone_tell_of_the_geometry(machine: Machine, noisy: Log) -> Non
     own = {name: values for name, values in noisy.channels.items() if name.partition(".")[0] not in (
         "grapple", "yoke", "upper_arm", "forearm")}
     log = Log("lengths", noisy.t, own, units={name: noisy.units[name] for name in own})
-    found = postures(machine, in_memory(identification_problem(machine, log).experiments, "test"))
+    found = postures(machine, identification_problem(machine, log).experiments)
     calibrated = calibrate(found)
     assert not np.any(found.layout.moving)
     assert set(found.parameters.names) == set(KinematicModel(machine).parameters.names)
@@ -332,7 +331,7 @@ def test_readings_own_errors_are_no_fault_of_a_sensor(name: str) -> None:
     named = []
     for read in (length, late):
         changed = replace(log, channels={**log.channels, "lift_cylinder.length": read})
-        experiments = in_memory(identification_problem(machine, changed).experiments, "geometry")
+        experiments = identification_problem(machine, changed).experiments
         named.append([each.phrase for each in calibrate(postures(machine, experiments)).suspects])
     assert named[0] == []
     assert named[1][0].startswith("backlash of 'lift_cylinder' by 19")

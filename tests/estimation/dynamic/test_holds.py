@@ -15,7 +15,6 @@ from hydroopt.estimation.dynamic.friction_sign import Phases, SpeedLimits
 from hydroopt.estimation.dynamic.holds import Hold, HoldEquations, Holds
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import STANDSTILL, Motion
 from hydroopt.machine.machine import Machine
@@ -187,7 +186,7 @@ def test_pieces_of_a_hold_are_one() -> None:
 def test_an_actuator_without_dry_friction_keeps_all_samples() -> None:
     model = crane(None)
     log = simulate(model, twelve_holds(), model.parameters.nominal, seed=3)
-    (data,) = in_memory(identification_problem(model, [log]).experiments, "this test")
+    (data,) = identification_problem(model, [log]).experiments
     assert np.all(data.known)
     assert np.all(data.inside)
     assert not np.any(data.motion.qd)

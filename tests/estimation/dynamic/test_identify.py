@@ -49,11 +49,6 @@ def test_noise_of_each_actuator_is_found(cat215b: Model, exact_logs: list[Log]) 
     np.testing.assert_allclose(estimate.correlation_time, 1, atol=0.35)
 
 
-def test_stated_weights_are_kept_when_asked(noisy: IdentificationProblem) -> None:
-    stated = np.array([700.0, 800.0, 900.0])
-    np.testing.assert_array_equal(identify(replace(noisy, reweight=False, force_std=stated), "wls").sigma, stated)
-
-
 @pytest.fixture(scope="module")
 def turning(wheel: Model) -> Any:
     """The wheel with torque noise given sample by sample; 20 000 samples of a motion of three sines."""

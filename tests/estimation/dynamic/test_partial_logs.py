@@ -18,10 +18,8 @@ from hydroopt.estimation.dynamic.friction_choice import choose_friction
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.payload import payload
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
-from hydroopt.logs.stream import stream
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -152,16 +150,18 @@ def test_a_log_without_any_force_is_refused(logs: list[Log]) -> None:
         identification_problem(WITH_CYLINDERS, [none])
 
 
-def test_a_long_log_does_without_as_well(logs: list[Log], tmp_path: Path) -> None:
+def test_a_long_log_does_without_as_well(logs: list[Log], tmp_path: Path, in_pieces: Callable[[int], None]) -> None:
     columns = {f"{name} [{logs[0].units[name]}]": x for name, x in
                with_holes(logs[0], np.s_[100:220], "stick_cylinder.p_rod").channels.items()}
     columns[f"{LOST} [Pa]"] = np.full(logs[0].size, np.nan)
     parquet.write_table(pa.table({"t [s]": logs[0].t, **columns}), tmp_path / "long.parquet")
-    problem = identification_problem(WITH_CYLINDERS, [stream(tmp_path / "long.parquet")])
-    (pieces,) = problem.experiments
-    assert isinstance(pieces, StreamedExperiment)
     whole = identification_problem(WITH_CYLINDERS, [read_log(tmp_path / "long.parquet")])
-    found, stated = (identify(each, intervals=False) for each in (problem, whole))
+    stated = identify(whole, intervals=False)
+    in_pieces(300)
+    problem = identification_problem(WITH_CYLINDERS, [read_log(tmp_path / "long.parquet")])
+    (pieces,) = problem.experiments
+    assert len(pieces.log.spans) > 1
+    found = identify(problem, intervals=False)
     assert found.weighted_residuals.samples == pytest.approx(stated.weighted_residuals.samples)
     assert found.sigma[[0, 2]] == pytest.approx(stated.sigma[[0, 2]], rel=0.05)
     assert sorted(found.fit["train"]) == ["all", "stick_cylinder", "swing_motor"]

@@ -19,7 +19,6 @@ from hydroopt.estimation.inference.constraints import Constraint, Named, as_casa
 from hydroopt.estimation.inference.nlp import nonlinear_program
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.logs.any_log import in_memory
 
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
 
@@ -70,7 +69,7 @@ def product(p: Any) -> Any:
 @pytest.fixture(scope="module")
 def noisy(noisy: IdentificationProblem) -> IdentificationProblem:
     """Without its holds, whose equations have weights of their own."""
-    return noisy.with_experiments([replace(data, calm=None) for data in in_memory(noisy.experiments, "tests")])
+    return noisy.with_experiments([replace(data, calm=None) for data in noisy.experiments])
 
 
 @pytest.fixture(scope="module")

@@ -103,11 +103,11 @@ def test_a_datum_is_touched_only_where_it_is_read() -> None:
 
 
 def test_the_plan_can_be_saved_loaded_and_read_by_calibrate(tmp_path: Path) -> None:
-    ran = CliRunner().invoke(app, ["measure-up", str(FILE), "--tip-std", "20 mm", "-o", str(tmp_path)],
+    ran = CliRunner().invoke(app, ["measure-up", str(FILE), "--tip-std", "10 mm", "-o", str(tmp_path)],
                              catch_exceptions=False)
     assert ran.exit_code == 0
     assert "readings in" in ran.output
-    assert load(tmp_path).details()["target_m"] == 0.02
+    assert load(tmp_path).details()["target_m"] == 0.01
     poses, planned = (hydroopt.read_poses(tmp_path / f"{name}.csv") for name in ("poses", "postures"))
     assert set(poses.channels) >= set(planned.channels)
     for table, words in ((poses, "no reading is filled in"), (planned, "they are planned, not measured")):

@@ -23,7 +23,6 @@ from hydroopt.estimation.dynamic.misfit.naming import Search
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
-from hydroopt.logs.any_log import in_memory
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -58,7 +57,7 @@ class Freed:
 
     def corrected(self, problem: IdentificationProblem) -> IdentificationProblem:
         """The problem with all forces corrected by the effects at these sizes."""
-        train, held_out = ([self._corrected(data) for data in in_memory(some, "a freed fault")]
+        train, held_out = ([self._corrected(data) for data in some]
                            for some in (problem.experiments, problem.validation))
         return replace(problem, experiments=tuple(train), validation=tuple(held_out), freed=())
 
@@ -99,7 +98,7 @@ class Freed:
         p = len(weighted.r)
         cross = np.zeros((p, len(self.faults)))
         weight = 1 / (weighted.sigma**2 * weighted.correlation_time)
-        for data in in_memory(weighted.problem.experiments, "a freed fault"):
+        for data in weighted.problem.experiments:
             view, n = View.of(data, self.psi), data.force.shape[1]
             S = np.stack([f.sensitivity(view, s)[:, :n] for f, s in zip(self.faults, self.size, strict=True)], axis=2)
             taken = (data.inside[:, None] & data.known) * weight
@@ -154,9 +153,8 @@ def free(problem: IdentificationProblem, psi: Array, last: Freed | None = None) 
     The `last` sizes say at which samples dry friction is known.
 
     Raises:
-        ProblemError: a fault that does not exist, or a log that is read in pieces.
+        ProblemError: a fault that does not exist.
     """
-    in_memory(problem.experiments, "a freed fault")
     chosen = () if last is None else tuple(zip(last.faults, last.size.tolist(), strict=True))
     data = Data(problem, psi, chosen)
     faults = chosen_faults(data.views[0], problem.freed)

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 
 from hydroopt.errors import ProblemError
-from hydroopt.interrupt import delayed
+from hydroopt.support.interrupt import delayed
 
 LOCK = ".hydroopt.lock"
 """File that is locked, and is there, while a process writes into its folder."""

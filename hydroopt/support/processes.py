@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from multiprocessing import connection, get_context, parent_process
 from typing import Any, ParamSpec, TypeVar
 
-from hydroopt.interrupt import blocked, ignore
+from hydroopt.support.interrupt import blocked, ignore
 
 P = ParamSpec("P")
 T = TypeVar("T")
