@@ -46,7 +46,7 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
     Raises:
         ProblemError: the chain opens on the way.
     """
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     moving, free = [model.joints.index(name) for name in stage.moves], postures.sensed_joints(model)
     q = np.clip(np.zeros(len(low)), low, high)
     for name, angle in (dict(stage.locked) | (locked or {})).items():

@@ -288,7 +288,7 @@ def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[f
 def _range_terms(model: Model, q: Array, qd: Array) -> tuple[float, float]:
     """The largest share of a joint's samples beyond its limits, and the term of ranges and speeds."""
     joints = [model.machine.link(name).joint for name in model.machine.joints]
-    low, high = np.array([joint.range for joint in joints]).T
+    low, high = model.machine.ranges.T
     slack = MARGIN * (high - low)
     outside = np.mean((q < low - slack) | (q > high + slack), axis=0)
     fastest = np.array([joint.max_speed or np.inf for joint in joints])

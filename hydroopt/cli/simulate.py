@@ -213,5 +213,5 @@ def _commands(plant: Plant, log: Log) -> tuple[Array, Array, Array]:
     machine = plant.machine
     u = np.column_stack([reading(machine, log, channel) for channel in plant.inputs])
     begin = [reading(machine, log, f"{joint}.q")[0] if f"{joint}.q" in log.channels
-             else np.mean(machine.link(joint).joint.range) for joint in machine.joints]
+             else middle for joint, middle in zip(machine.joints, machine.ranges.mean(axis=1), strict=True)]
     return log.t, u, np.array(begin)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from hydroopt.codegen.routines import Interface
 from hydroopt.kernels import integrator
@@ -98,7 +97,7 @@ def at_rest(made: Plant, psi: Array) -> Steady:
     Raises:
         ProblemError: it cannot rest there, or the file states no supply pressure.
     """
-    middle = np.array([sum(each) / 2 for each in _ranges(made.machine).values()])
+    middle = made.machine.ranges.mean(axis=1)
     return made.steady(middle, 0 * middle, psi, made.parameters.nominal)
 
 

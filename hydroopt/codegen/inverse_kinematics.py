@@ -105,7 +105,7 @@ def inverse_kinematics(api: Symbols) -> Routine:
     found = {joint: _near(angle, sum(machine.link(joint).joint.range) / 2)
              for joint, angle in zip(solved, angles, strict=True)} | given
     q = ca.vertcat(*(found[joint] for joint in machine.joints))
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     texts = {"reach": "1 or -1: which of the two ways the first joint turns the arm to the target",
              "elbow": "1 or -1: which of the two ways the arm bends"}
     takes = api.struct(

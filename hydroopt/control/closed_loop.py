@@ -140,7 +140,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
     sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed, len(t))
     delay = CommandDelay(plant.delays, period, steady.u)
     integrator, motion = plant.integrator(psi, theta), OneSample(demands.plant.actuator_motion)
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     middle, reach = (lower + upper) / 2, (0.5 + OVERRUN) * (upper - lower)
     least, most = demands.valves.limits
     x, stopped = steady.x, ""

@@ -220,7 +220,7 @@ class Setting:
         hanging = Hanging(plant.model)
         least = SHARE * np.array([top_speed(plant, joint) if joint in plant.drivers else 0.0
                                   for joint in machine.joints])
-        lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+        lower, upper = machine.ranges.T
         moments = self.t[0] + (np.arange(MOTION_POINTS) + 0.5) / MOTION_POINTS * (self.t[-1] - self.t[0])
         path = self.reference.at(moments)
         on_motion = []

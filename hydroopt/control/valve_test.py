@@ -198,7 +198,7 @@ def valve_test(plant: Plant, *, seconds: float = SECONDS) -> ValveTest:
             opening, hold = pairs[k % len(pairs)]
             steps.append(Step(names, opening, min(hold, left)))
             left, k = left - hold, k + 1
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     kept = MARGIN * (upper - lower)
     return ValveTest(plant, tuple(steps), lower + kept, upper - kept)
 

@@ -158,7 +158,7 @@ class Limits:
     def _tracking_errors(self) -> Array:
         """What `MARGIN` tracking errors of each joint make of each row (m, n), of lengths and angles alone, at most."""
         joints, q = self.model.machine.joints, self.model.coordinates.q
-        low, high = np.array([self.model.machine.link(joint).joint.range for joint in joints]).T
+        low, high = self.model.machine.ranges.T
         places = [k for k, (row, _) in enumerate(self._entries) if row.unit in ("m", "rad")]
         found = np.zeros((len(self._entries), len(joints)))
         if self.reserves.tracking and places:

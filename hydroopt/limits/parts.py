@@ -101,7 +101,7 @@ def drawn_distances(model: Model, distances: Sequence[ca.SX]) -> list[Array]:
     """Each of these functions of q [m] in random postures within all joints' limits, but those where loops do not
     close."""
     between = ca.Function("between", [model.coordinates.q], [ca.vertcat(*distances)])
-    low, high = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints]).T
+    low, high = model.machine.ranges.T
     drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
     return [every[np.isfinite(every)] for every in np.asarray(between.map(POSTURES)(drawn.T))]
 

@@ -90,8 +90,7 @@ class PostureLimits:
         self.chain, self.machine = chain, chain.machine
         self.limits = Limits(Model(_without_seals(chain.machine)), reserves)
         self.places = [chain.joints.index(joint) for joint in self.machine.joints]
-        ranges = [self.machine.link(joint).joint.range for joint in self.machine.joints]
-        self._size = np.ptp(np.array(ranges).reshape(-1, 2), axis=1)
+        self._size = np.ptp(self.machine.ranges, axis=1)
         obstacles = self.machine.obstacles
         poses = self.limits.model.dynamics.links
         centres = [ca.SX(ca.DM(each.centre)) if each.link == BASE else poses[each.link].pose.point(ca.DM(each.centre))

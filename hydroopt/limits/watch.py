@@ -169,7 +169,7 @@ def largest_reach(model: Model, low: Array | None = None, high: Array | None = N
     Found by differential evolution over all joints, refined by a quasi-Newton method.
     """
     mapped = cache(_extent(model).map)
-    ranges = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints]).T
+    ranges = model.machine.ranges.T
     between = Bounds(ranges[0] if low is None else low, ranges[1] if high is None else high)
 
     def largest(k: int) -> float:

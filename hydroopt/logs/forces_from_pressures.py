@@ -114,8 +114,8 @@ def force_noise(model: Model, log: Log | None = None) -> Array:
         stds.append(np.sqrt(sum((s.std * factor) ** 2 if s else np.nan for s, factor in sensors)))
     if machine.one_each:
         return np.array(stds)
-    limits = np.array([machine.link(joint).joint.range for joint in machine.joints])
-    postures = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (POSTURES, len(limits)))
+    low, high = machine.ranges.T
+    postures = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
     places = [machine.actuators.index(each) for each in machine.measured_actuators]
     squares = np.nanmean(model.over(model.shares, postures)[0][:, :, places] ** 2, axis=0)
     # one without a share in a balance does not count in it, also if its sensors are not stated

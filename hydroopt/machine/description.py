@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Any, Self
 
+import numpy as np
 from pydantic import Field
 
 from hydroopt.machine import addresses
@@ -24,6 +25,7 @@ from hydroopt.machine.quantity import Noun, quantity_of
 from hydroopt.machine.sensors import Imu, Lag, Measuring, Sensor
 from hydroopt.machine.survey import SEEN, TIP
 from hydroopt.machine.valves import Circuit, Valve
+from hydroopt.spatial.inertia import Array
 
 BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
@@ -51,6 +53,11 @@ class MachineDescription(Parts):
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that move by themselves (those of their links), in the order of the joint vector q."""
         return tuple(link.name for link in self.links if link.joint.independent)
+
+    @property
+    def ranges(self) -> Array:
+        """Lower and upper limits (n, 2) [rad, m] of the joints that move by themselves."""
+        return np.array([link.joint.range for link in self.links if link.joint.independent]).reshape(-1, 2)
 
     @cached_property
     def tree_joints(self) -> tuple[str, ...]:

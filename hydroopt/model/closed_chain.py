@@ -35,7 +35,8 @@ class KinematicModel(Shown):
 
     Attributes:
         machine: the machine that is modelled.
-        links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
+        links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m], and
+            `ranges` (n, 2) their lower and upper limits.
         parameters: the geometry g (p,) with stated confidences, as priors.
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known and the
@@ -71,7 +72,9 @@ class KinematicModel(Shown):
         self.machine = machine = machine_of(machine, "KinematicModel")
         stated = Geometry(machine)
         self.links = stated.links
-        self.joints = tuple(link.name for link in self.links if link.joint.independent)
+        moving = [link for link in self.links if link.joint.independent]
+        self.joints = tuple(link.name for link in moving)
+        self.ranges = np.array([link.joint.range for link in moving])
         self.parameters = _parameters(machine, stated.numbers)
         self.oriented = any(fixture.kind != "ball" for fixture in machine.fixtures)
         self.taped = any(machine.sensor(f"{link.name}.distance") for link in machine.chain)

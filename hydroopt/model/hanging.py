@@ -48,7 +48,7 @@ class Hanging:
     @cached_property
     def tolerance(self) -> Array:
         """By how much a design may miss balance (p,)."""
-        low, high = np.array([self.model.machine.link(joint).joint.range for joint in self.model.machine.joints]).T
+        low, high = self.model.machine.ranges.T
         drawn = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))
         weight = self.model.over(self._static, drawn)[0][:, :, 0]
         return np.asarray(UNBALANCED * np.max(np.abs(weight), axis=0))
@@ -62,8 +62,7 @@ class Hanging:
         if not self.joints:
             return q
         found = np.array(q, dtype=float)
-        low, high = np.array([self.model.machine.link(self.model.machine.joints[k]).joint.range
-                              for k in self.joints]).T
+        low, high = self.model.machine.ranges[self.joints].T
         for _ in range(STEPS):
             force, curvature = self.model.over(self._static, found)
             sizes, axes = np.linalg.eigh((curvature + np.swapaxes(curvature, 1, 2)) / 2)

@@ -124,7 +124,7 @@ def inverse_kinematics(model: Model | GivenMachine, position: ArrayLike, rotatio
         raise ProblemError(f"infinitely many postures bring the tip to {_said(target[:3])}, such as where it lies on "
                            "the axis of a joint", where="inverse kinematics",
                            remedy="hold the joint that does not move the tip there, or choose another target")
-    middle = _middle(model)
+    middle = model.machine.ranges.mean(axis=1)
     return tuple(sorted(postures, key=lambda each: (not each.reachable, float(np.linalg.norm(each.q - middle)))))
 
 
@@ -142,13 +142,9 @@ def _target(position: ArrayLike, rotation: ArrayLike | None) -> Array:
     return np.concatenate([place, turn.ravel()])
 
 
-def _middle(model: Model) -> Array:
-    return np.array([sum(model.machine.link(joint).joint.range) / 2 for joint in model.machine.joints])
-
-
 def _starts(model: Model, free: list[int], fixed: Mapping[str, float], count: int) -> Array:
     """Postures (count, n) spread over whole turns and the ranges of sliding joints, the first in mid-range."""
-    machine, middle = model.machine, _middle(model)
+    machine, middle = model.machine, model.machine.ranges.mean(axis=1)
     q = np.tile(middle, (count, 1))
     for name, value in fixed.items():
         q[:, machine.joints.index(name)] = value
@@ -196,7 +192,7 @@ def _error(model: Model, q: Array, free: list[int], target: Array) -> tuple[Arra
 
 def _distinct(model: Model, q: Array, free: list[int]) -> Array:
     """Postures that differ by more than rounding, angles within half a turn of the middle of each range."""
-    machine, middle, q = model.machine, _middle(model), q.copy()
+    machine, middle, q = model.machine, model.machine.ranges.mean(axis=1), q.copy()
     turning = [k for k in free if machine.link(machine.joints[k]).joint.type == "revolute"]
     q[:, turning] = middle[turning] + _wrapped(q[:, turning] - middle[turning])
     kept: list[Array] = []
@@ -219,7 +215,7 @@ def _posture(model: Model, q: Array, free: list[int]) -> Posture:
         lower, upper = machine.link(joint).joint.range
         if not lower - CLOSE <= value <= upper + CLOSE:
             outside[joint] = max(lower - value, value - upper)
-    both = np.stack([q, _middle(model)])
+    both = np.stack([q, model.machine.ranges.mean(axis=1)])
     lengths, _, _, levers, _ = model.over(model.cylinder_kinematics, both, 0 * both, 0 * both)
     dead, past = [], []
     for row, cylinder in enumerate(machine.cylinders):

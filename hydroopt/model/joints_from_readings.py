@@ -58,7 +58,7 @@ def joints_from_readings(model: Model, q: Array, solved: Sequence[int], channels
     """
     machine, own = model.machine, list(solved)
     q = q.copy()
-    q[:, own] = [sum(machine.link(machine.joints[k]).joint.range) / 2 for k in own]
+    q[:, own] = machine.ranges[own].mean(axis=1)
     begin = readings(model, q, channels)[0]
     turning = [machine.channel_units[channel] == "rad" for channel in channels]
     whole = np.where(turning, 2 * np.pi * np.round((measured - begin) / (2 * np.pi)), 0.0)
@@ -180,7 +180,7 @@ def slides(model: Model) -> tuple[Slide, ...]:
         between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
         if moved == between and len(moved) == 1 and machine.drivers[moved[0]] == (cylinder,) and machine.link(
                 moved[0]).joint.type == "prismatic":
-            j, middle = machine.joints.index(moved[0]), _middle(model)
+            j, middle = machine.joints.index(moved[0]), machine.ranges.mean(axis=1)
             arm = model.transmission(middle)[machine.actuators.index(cylinder), j]
             found.append(Slide(j, k, int(np.sign(float(arm)))))
     return tuple(found)
@@ -221,8 +221,8 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
     count, free = SAMPLES.get(n, 512), [*own, *others]
     drawn = np.sin(np.pi / 2 * (2 * halton(len(free), count).T - 1))
     corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(free), indexing="ij")).reshape(len(free), -1)[:, :count]
-    ranges = np.array([machine.link(machine.joints[k]).joint.range for k in free])
-    q = np.tile(_middle(model)[:, None], (1, corners.shape[1] + count))
+    ranges = machine.ranges[free]
+    q = np.tile(machine.ranges.mean(axis=1)[:, None], (1, corners.shape[1] + count))
     q[free] = ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * np.hstack([corners, drawn])
     function = ca.Function("lengths", [model.dynamics.coordinates.q],
                            [ca.densify(each) for each in _lengths(model.dynamics, read)])
@@ -255,7 +255,3 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
         if best is not None and best.steps <= FEW:
             break
     return best
-
-
-def _middle(model: Model) -> Array:
-    return np.array([sum(model.machine.link(joint).joint.range) / 2 for joint in model.machine.joints])

@@ -70,6 +70,6 @@ def transmission_ratios(model: Model) -> tuple[Curve, ...]:
 def _sweep(machine: Machine, joint: str) -> tuple[Array, int]:
     """Joint positions (N, n) along the range of one joint, and its place in them."""
     column = machine.joints.index(joint)
-    q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (POINTS, 1))
+    q = np.tile(machine.ranges.mean(axis=1), (POINTS, 1))
     q[:, column] = np.linspace(*machine.link(joint).joint.range, POINTS)
     return q, column

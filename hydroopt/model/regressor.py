@@ -247,7 +247,7 @@ class Dynamics:
         at = ca.substitute(jacobian, symbols[free := [k for k in range(len(stated)) if not symbols[k].is_constant()]],
                            ca.DM([stated[k].value for k in free])) if stated else jacobian
         function = ca.Function("jacobian", [self.coordinates.q], [at])
-        lower, upper = np.array([self.machine.link(joint).joint.range for joint in self.machine.joints]).T
+        lower, upper = self.machine.ranges.T
         found = [np.array(function(q)) for q in np.random.default_rng(0).uniform(lower, upper, (POSTURES, len(lower)))]
 
         def rank(rows: int) -> int:

@@ -47,10 +47,9 @@ def limit_postures(model: Model) -> SidePostures:
 
     Passive joints hang.
     """
-    limits = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints])
-    middle = limits.mean(axis=1)
+    middle = model.machine.ranges.mean(axis=1)
     q = np.tile(middle, (2 * len(middle), 1))
-    for k, limit in enumerate(limits):
+    for k, limit in enumerate(model.machine.ranges):
         q[2 * k : 2 * k + 2, k] = limit
     found = range_postures(model, q)
     return found._replace(q=Hanging(model).postures(found.q))

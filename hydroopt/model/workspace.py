@@ -72,7 +72,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
         ProblemError: the machine file states no supply pressure, or no masses.
     """
     supply, joints, hanging = plant.supply, plant.machine.joints, Hanging(plant.model)
-    ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
+    ranges = plant.machine.ranges
     spread = np.vstack([np.full(len(joints), 0.5), halton(len(joints), postures - 1)])
     found = []
     for joint, actuators in plant.drivers.items():
@@ -126,7 +126,7 @@ def top_speed(plant: Plant, joint: str) -> float:
     if stated is not None:
         return stated
     k = machine.joints.index(joint)
-    middle = np.array([sum(machine.link(name).joint.range) / 2 for name in machine.joints])
+    middle = machine.ranges.mean(axis=1)
     levers = np.abs(np.asarray(plant.transmission(middle))[:, k])
     swept = [plant.actuators[i].areas[0] * levers[i] for i in plant.drivers[joint]]
     flows = [float(conductance(each.valve, "flow_pa", plant.value(each, plant.parameters.nominal)))

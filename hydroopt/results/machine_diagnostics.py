@@ -120,7 +120,7 @@ def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
     weight = machine.gravity * sum(owned.body.m for owned in bodies(machine).values())
     if weight <= 0:
         return
-    lower, upper = np.array([machine.link(name).joint.range for name in machine.joints]).T
+    lower, upper = machine.ranges.T
     postures = np.random.default_rng(0).uniform(lower, upper, size=(POSTURES, len(lower)))
     torques = [np.array(model.gravity_torques(q, nominal)) for q in postures]
     if np.abs(torques).max() < 1e-6 * weight:  # a micrometre of lever arm
@@ -239,7 +239,7 @@ def _held(model: Model) -> Iterator[Diagnostic]:
     machine = model.machine
     if not machine.joints:
         return
-    lower, upper = np.array([machine.link(name).joint.range for name in machine.joints]).T
+    lower, upper = machine.ranges.T
     q = lower + (upper - lower) * _unit_cube(len(lower))
     arms, = model.over(model.transmission, q)
     together = {joint for group in machine.entangled for joint in group}

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.model.attached_calibrator import AttachedCalibrator
-from hydroopt.simulation.postures import close, limits
+from hydroopt.simulation.postures import close
 from hydroopt.spatial.inertia import Array
 
 FREE = 1e3
@@ -42,7 +42,7 @@ class CalibratorMotion:
 
 
 def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,
-           read: tuple[Array, Array, Array] | None = None, sensed: NDArray[np.bool_] | None = None) -> CalibratorMotion:
+           read: tuple[Array, Array, Array], sensed: NDArray[np.bool_]) -> CalibratorMotion:
     """The motion of the calibrator that closes the loop at each sample of a machine's motion (N, n).
 
     Where the loop determines the calibrator's joints, they and their rates follow from the machine's alone. Freedoms
@@ -51,20 +51,16 @@ def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,
     Args:
         attached: the calibrator in its fixture.
         q, qd, qdd: the machine's motion.
-        read: the calibrator's joints (N, r) with their rates as they were read; without readings it starts in the
-            middle of its ranges.
-        sensed: (r,) which of them were read; the others only start there. None without readings.
+        read: the calibrator's joints (N, r) with their rates as they were read.
+        sensed: (r,) which of them were read; the others only start there.
 
     Raises:
         ProblemError: the chain cannot be closed at a sample, or joints without readings are not determined.
     """
     kinematics, fixture = attached.kinematics, attached.fixture
     n, r, N = q.shape[1], len(attached.joints), len(q)
-    sensed = np.zeros(r, dtype=bool) if sensed is None or read is None else sensed
-    low, high = limits(kinematics)
-    start = np.tile(((low + high) / 2)[n:], (N, 1)) if read is None else np.array(read[0], dtype=float)
-    weight = np.where(sensed, 1.0, FREE if np.any(sensed) else 1.0)
-    whole, nominal = np.hstack([q, start]), kinematics.parameters.nominal
+    weight = np.where(sensed, 1.0, FREE)
+    whole, nominal = np.hstack([q, read[0]]), kinematics.parameters.nominal
     free = list(range(n, n + r))
     if np.all(sensed):
         whole, closed = close(kinematics, nominal, whole, free, fixture)
@@ -74,7 +70,7 @@ def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,
             if k:
                 whole[k, n:][~sensed] = whole[k - 1, n:][~sensed]
             for _ in range(PASSES):  # far from where it started the chain has bent the readings, too
-                whole[k, n:][sensed] = start[k, sensed]
+                whole[k, n:][sensed] = read[0][k, sensed]
                 at = slice(k, k + 1)
                 whole[at], closed[at] = close(kinematics, nominal, whole[at], free, fixture, weight)
             if not closed[k]:
@@ -84,20 +80,19 @@ def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,
         raise ProblemError(f"the calibrator does not reach the fixture '{fixture.name}' at sample {first}",
                            where=attached.model.machine.name,
                            remedy="correct the geometry of calibrator or fixture, or the angles of the log")
-    guess = (np.zeros((N, r)), np.zeros((N, r))) if read is None else (
-        np.where(sensed, read[1], 0.0), np.where(sensed, read[2], 0.0))
     C = kinematics.over(attached.loop_rates, whole, np.zeros_like(whole))[0]
     own = C[:, :, n:]
     _refuse_loose(attached, own, sensed)
     inverse = weight[:, None] * np.linalg.pinv(own * weight, rcond=STILL / FREE)
 
     def consistent(rate: Array, machine: Array, curvature: Array) -> Array:
+        rate = np.where(sensed, rate, 0.0)
         gap = C[:, :, :n] @ machine[:, :, None] + own @ rate[:, :, None] + curvature
         return np.asarray(rate - (inverse @ gap)[:, :, 0])
 
-    speed = consistent(guess[0], qd, np.zeros((N, C.shape[1], 1)))
+    speed = consistent(read[1], qd, np.zeros((N, C.shape[1], 1)))
     curvature = kinematics.over(attached.loop_rates, whole, np.hstack([qd, speed]))[1]
-    return CalibratorMotion(attached, whole[:, n:], speed, consistent(guess[1], qdd, curvature))
+    return CalibratorMotion(attached, whole[:, n:], speed, consistent(read[2], qdd, curvature))
 
 
 def _refuse_loose(attached: AttachedCalibrator, own: Array, sensed: NDArray[np.bool_]) -> None:

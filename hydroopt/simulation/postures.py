@@ -87,12 +87,6 @@ def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:
     return place
 
 
-def limits(model: KinematicModel) -> tuple[Array, Array]:
-    """Lower and upper limits (n,) [rad, m] of all joints."""
-    ranges = np.array([link.joint.range for link in model.links if link.joint.independent])
-    return ranges[:, 0], ranges[:, 1]
-
-
 def sensed_joints(model: KinematicModel) -> list[int]:
     """Positions of the calibrator's joints that have a sensor."""
     own = {link.name for link in (model.machine.calibrator.links if model.machine.calibrator else ())}
@@ -161,7 +155,7 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
     Returns:
         The postures and how many were tried.
     """
-    low, high = limits(model)
+    low, high = model.ranges.T
     stroke = np.array([cylinder.stroke for cylinder in model.machine.cylinders])
     found, tried = np.zeros((0, len(low))), 0
     while len(found) < count and not (tried and give_up(len(found), tried)):

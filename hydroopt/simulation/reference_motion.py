@@ -63,5 +63,4 @@ def _consistent(machine: Machine, motion: Trajectory) -> bool:
     """Whether every position follows from the one before it, by the quintic that joins both states."""
     step = np.diff(motion.t)[:, None]
     predicted = step / 2 * (motion.qd[:-1] + motion.qd[1:]) + step**2 / 12 * (motion.qdd[:-1] - motion.qdd[1:])
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    return bool(np.all(np.abs(np.diff(motion.q, axis=0) - predicted) <= CONSISTENT * (upper - lower)))
+    return bool(np.all(np.abs(np.diff(motion.q, axis=0) - predicted) <= CONSISTENT * np.ptp(machine.ranges, axis=1)))

@@ -124,7 +124,7 @@ class Regressor:
 def motions(machine: Machine, count: int) -> list[np.ndarray]:
     """Random q, q̇ and q̈ (count, n), positions within the joints' ranges."""
     rng = np.random.default_rng(1)
-    lower, upper = np.array([machine.link(name).joint.range for name in machine.joints]).T
+    lower, upper = machine.ranges.T
     return [rng.uniform(lower, upper, (count, len(lower))), *rng.uniform(-1, 1, (2, count, len(lower)))]
 
 

@@ -53,7 +53,7 @@ def true_of(machine: Machine, seed: int, lengths: float | None) -> Machine:
 def stills(true: Machine, seed: int) -> Poses:
     """Twelve postures, two seconds of readings each; the edge is surveyed in three of them."""
     rng, model = np.random.default_rng([2, seed]), Model(true)
-    lower, upper = np.array([true.link(joint).joint.range for joint in true.joints]).T
+    lower, upper = true.ranges.T
     q = rng.uniform(0.9 * lower + 0.1 * upper, 0.1 * lower + 0.9 * upper, (STILLS, len(lower)))
     count = round(STILL_TIME * RATE)
     each = np.repeat(q, count, axis=0)

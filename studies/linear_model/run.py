@@ -39,7 +39,7 @@ def underlapped(machine):
 
 def postures(plant, seed):
     rng = np.random.default_rng(seed)
-    ranges = np.array([plant.machine.link(joint).joint.range for joint in plant.machine.joints])
+    ranges = plant.machine.ranges
     return ranges[:, 0] + rng.uniform(0.05, 0.95, (POSTURES, len(ranges))) * (ranges[:, 1] - ranges[:, 0])
 
 

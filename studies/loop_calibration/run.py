@@ -15,7 +15,6 @@ from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.verdict import Purpose
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import SimulatedPoses, simulate_poses
 from studies.show import table
 
@@ -82,7 +81,7 @@ def outcomes(machine: Machine, factor: float) -> Iterator[Outcome]:
     drawn = KinematicModel(machine.model_copy(update={"notes": {
         path: note.model_copy(update={"sigma": factor * note.sigma}) if note.sigma else note
         for path, note in machine.notes.items()}}))
-    q = np.random.default_rng(7).uniform(*postures.limits(model), (UNSEEN, len(model.joints)))
+    q = np.random.default_rng(7).uniform(*model.ranges.T, (UNSEEN, len(model.joints)))
     for seed in range(RUNS):
         try:
             made = simulate_poses(drawn, plan.postures, random=True, seed=seed)

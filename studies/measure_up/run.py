@@ -15,7 +15,6 @@ from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readi
 from hydroopt.excitation.selection.pose_problem import PoseLabels, PoseProblem, calibration_of, pose_problem
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 MACHINE = Path(__file__).parents[2] / "docs" / "how-to" / "measure_up.toml"
@@ -30,12 +29,12 @@ RAISED = REST | {"boom": 0.7, "stick": -1.0}
 
 def workspace(model: KinematicModel) -> np.ndarray:
     """Postures (K, n), other than those that the plan judges by."""
-    return np.random.default_rng(1).uniform(*postures.limits(model), (POINTS, len(model.joints)))
+    return np.random.default_rng(1).uniform(*model.ranges.T, (POINTS, len(model.joints)))
 
 
 def swings(problem: PoseProblem, count: int, standing: dict[str, float]) -> np.ndarray:
     """Curl, crowd, lift and swing: every joint through so many equal steps, all others at rest (4·count, n)."""
-    low, high = postures.limits(problem.model)
+    low, high = problem.model.ranges.T
     rest = np.array([standing[joint] for joint in problem.model.joints])
     made = []
     for k in range(len(rest)):

@@ -150,7 +150,7 @@ def with_pressures(machine: Machine, factor: float) -> Machine:
 def attached_motion(model: Model, seed: int) -> Trajectory:
     """A random motion of all joints that the calibrator can follow."""
     motion = random_trajectory(model, duration=DURATION, rate=RATE, seed=seed)
-    middle = np.mean([model.machine.link(joint).joint.range for joint in model.machine.joints], axis=1)
+    middle = model.machine.ranges.mean(axis=1)
     return replace(motion, q=MIDDLE + PART * (motion.q - middle), qd=PART * motion.qd, qdd=PART * motion.qdd)
 
 

@@ -44,7 +44,7 @@ def run() -> dict:
     numbers = {name: float(value) for name, value in zip(names, nominal, strict=True)}
     plan = solve(pose_problem(machine, POSES, priors=True))
     q, planned = plan.q, dict(zip(plan.names, plan.std, strict=True))
-    unseen = np.random.default_rng(5).uniform(*postures.limits(model), (UNSEEN, 4))
+    unseen = np.random.default_rng(5).uniform(*model.ranges.T, (UNSEEN, 4))
     lengths = model.over(model.lengths, nominal, unseen)[0][:, :, 0]
     tips = model.over(model.tip, nominal, unseen)[0][:, :, 0]
     apart = float(np.max(np.abs(observed(dict(numbers), unseen) - np.hstack([lengths, tips]))))

@@ -7,7 +7,6 @@ import numpy as np
 from hydroopt import KinematicModel, calibration_problem, load_machine, pose_problem, solve
 from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 MACHINE = Path(__file__).parents[2] / "docs" / "how-to" / "survey.toml"
@@ -21,7 +20,7 @@ def run() -> dict:
     machine = load_machine(MACHINE)
     model = KinematicModel(machine)
     plan = solve(pose_problem(machine, EACH, setups=("A", "B")), candidates=CANDIDATES)
-    q = np.random.default_rng(0).uniform(*postures.limits(model), (POINTS, len(model.joints)))
+    q = np.random.default_rng(0).uniform(*model.ranges.T, (POINTS, len(model.joints)))
     q[:, [model.joints.index(joint) for joint in machine.base_joints]] = 0.0
 
     def edge(geometry) -> np.ndarray:

@@ -25,7 +25,6 @@ from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 HERE = Path(__file__).parent
@@ -76,7 +75,7 @@ def fixed_plan(problem: WhatNextProblem) -> list[Work]:
     named = {each.name: each for each in problem.measurements}
     station, motion = named["station"], named.get("motion")
     left = BUDGET - station.set_up - (0.0 if motion is None else motion.set_up + MOTIONS * motion.minutes)
-    count, low_high = int(left / station.minutes), postures.limits(problem.chain)
+    count, low_high = int(left / station.minutes), problem.chain.ranges.T
     low, high = (np.asarray(each) for each in low_high)
     swings = []
     for k, some in enumerate(np.array_split(np.arange(count), len(low))):
@@ -171,7 +170,7 @@ def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, 
     added = [each for each in problem.additions if each.name in owners]
     k = len(chain.parameters)
     read = [each for each in work if not each.motions and each.owner not in ("weigh.stick", "known_load")]
-    q = np.concatenate([each.q for each in read]) if read else (np.mean(postures.limits(chain), axis=0)[None])
+    q = np.concatenate([each.q for each in read]) if read else (chain.ranges.mean(axis=1)[None])
     table = Poses("planned", np.full(len(q), ""), np.full(len(q), ""), channels={
         f"{joint}.q": q[:, i] for i, joint in enumerate(chain.joints)},
         units={f"{joint}.q": "rad" for joint in chain.joints})
@@ -190,7 +189,7 @@ def achieved(problem: WhatNextProblem, work: Sequence[Work], drawn_by: Machine, 
         found = optimum(calibration, "joint", calibration.start).theta[:k]
     error = {}
     if "tip" in problem.targets:
-        at = np.random.default_rng(1).uniform(*postures.limits(chain), (POINTS, len(chain.joints)))
+        at = np.random.default_rng(1).uniform(*chain.ranges.T, (POINTS, len(chain.joints)))
         tips = [chain.over(machine_end(chain)[1], theta, at)[0][:, :, 0] for theta in (found, true)]
         error["tip"] = float(np.sqrt(np.mean(np.sum((tips[0] - tips[1]) ** 2, axis=1))))
     if problem.targets.keys() - {"tip"}:

@@ -143,7 +143,7 @@ def test_outputs_are_those_of_the_plant(fmus: Fmus) -> None:
 def test_inverse_dynamics_in_co_simulation_are_those_of_the_kernels(subject: str, fmus: Fmus) -> None:
     described = library.machine(subject)
     model, rng = Model(described), np.random.default_rng(3)
-    lower, upper = np.array([described.link(joint).joint.range for joint in described.joints]).T
+    lower, upper = described.ranges.T
     n, t = len(described.joints), np.arange(40) * 0.01
     q = (lower + upper) / 2 + 0.1 * (upper - lower) * rng.uniform(-1, 1, (len(t), n))
     qd, qdd = rng.standard_normal((2, len(t), n))

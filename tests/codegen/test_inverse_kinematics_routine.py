@@ -60,7 +60,7 @@ def test_branches_of_random_postures(name: str, real: str, libraries: Callable[.
     constants = lib.prepare(values)
     geometry = dict(zip(lib.interface.kinds["geometry"].names, values.get("geometry", ()), strict=True))
     second = ComplexMachine(machine, geometry)
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     tolerance, found, count = (1e-9 if real == "double" else 3e-5), 0, 40
     for q in library.subjects.states(machine, rng, count)[0]:
         target = place(second, q)

@@ -28,7 +28,7 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 def states(plant: Plant) -> dict[str, np.ndarray]:
     rng, joints, valves = np.random.default_rng(3), len(plant.machine.joints), (COUNT, len(plant.actuators))
-    lower, upper = np.array([plant.machine.link(joint).joint.range for joint in plant.machine.joints]).T
+    lower, upper = plant.machine.ranges.T
     q = held(lower + (upper - lower) * rng.uniform(0.05, 0.95, (COUNT, joints)))
     relief = [each.actuator.relief_pressure for each in plant.actuators if each.actuator.relief_pressure]
     high = min([2e7, *(0.95 * each for each in relief)])

@@ -55,7 +55,7 @@ def test_lengths_of_cylinders_in_space_are_those_of_the_tape(kind: str) -> None:
     sketch = answered(kind, **{f"{KINDS[kind].members[0].name}__length": "3.1 m"} if kind != "empty" else {})
     machine = read_machine(machine_text(sketch))
     model = Model(machine)
-    middle = np.array([sum(machine.link(joint).joint.range) / 2 for joint in machine.joints])
+    middle = machine.ranges.mean(axis=1)
     for k, member in enumerate(sketch.members):
         joint = machine.joints.index(member.name)
         stands_on_lift = member.linkage is not None and member.cylinder is not None and member.cylinder.on_ground

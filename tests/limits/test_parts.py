@@ -87,7 +87,7 @@ def test_the_outer_ends_of_telescopes_stay_above_ground(name: str) -> None:
     """By forward kinematics, whichever end of a section is the lower one."""
     limits = beside(name, [], 'ground = "-20 m"')
     model, machine = limits.model, limits.model.machine
-    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    low, high = machine.ranges.T
     q = np.random.default_rng(1).uniform(low, high)
     for link, pose in zip(machine.links, model.over(model.forward_kinematics, q[None]), strict=True):
         if link.joint.type == "prismatic":

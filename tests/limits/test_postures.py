@@ -143,7 +143,7 @@ def test_other_reserves_are_kept_and_without_limits_postures_dig_into_the_ground
 def test_every_posture_is_judged_as_by_points_on_its_links() -> None:
     machine = machine_of(SURVEYED)
     kept = PostureLimits(KinematicModel(machine), Reserves(tracking=0.0))
-    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    low, high = machine.ranges.T
     q = np.random.default_rng(3).uniform(low, high, (600, len(low)))
     broken = kept.broken(q)
     assert {row.name for row in kept.limits.rows} == set(broken)

@@ -58,7 +58,7 @@ def test_robot(path: Path) -> None:
     moved = sum(link.body.m for link in machine.links if link.body)
     assert moved == pytest.approx(oracle.mass(), rel=1e-12)
     model, rng = Model(machine), np.random.default_rng(8)
-    ranges = np.array([machine.link(name).joint.range for name in machine.joints])
+    ranges = machine.ranges
     q, qd, qdd = rng.uniform(*ranges.T, (3, len(ranges))), *rng.uniform(-2, 2, (2, 3, len(ranges)))
     expected = np.array([oracle.torques(machine, *row) for row in zip(q, qd, qdd, strict=True)])
     (found,) = model.over(model.inverse_dynamics, q, qd, qdd, np.tile(model.parameters.nominal, (3, 1)))

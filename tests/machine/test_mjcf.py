@@ -56,7 +56,7 @@ class Mujoco:
 def needs_same_torques(path: Path, count: int = 5) -> Machine:
     machine, oracle = load_machine(path), Mujoco(path)
     model, rng = Model(machine), np.random.default_rng(9)
-    ranges = np.array([machine.link(name).joint.range for name in machine.joints])
+    ranges = machine.ranges
     state = rng.uniform(*ranges.T, (count, len(ranges))), *rng.uniform(-2, 2, (2, count, len(ranges)))
     expected = np.array([oracle.torques(machine, *row) for row in zip(*state, strict=True)])
     (found,) = model.over(model.inverse_dynamics, *state, np.tile(model.parameters.nominal, (count, 1)))

@@ -56,7 +56,7 @@ def test_matching_takes_the_shortest_chain() -> None:
 def test_lengths_and_forces_are_those_of_vectors(platform: Machine, model: Model) -> None:
     """Pins by a rotation matrix; and a platform without legs' bodies by Newton's and Euler's equations of one body."""
     rng = np.random.default_rng(7)
-    ranges = np.array([platform.link(joint).joint.range for joint in platform.joints])
+    ranges = platform.ranges
     q = rng.uniform(*ranges.T)
     turn = Rotation.from_euler("ZYX", q[3:])
     low, up = (np.array([getattr(each, end).pin for each in platform.cylinders]) for end in ("barrel", "rod"))
@@ -94,7 +94,7 @@ def test_lengths_and_forces_are_those_of_vectors(platform: Machine, model: Model
 
 def test_six_lengths_give_six_joints(platform: Machine, model: Model) -> None:
     rng = np.random.default_rng(8)
-    ranges = np.array([platform.link(joint).joint.range for joint in platform.joints])
+    ranges = platform.ranges
     q = rng.uniform(*ranges.T, (50, 6))
     channels = [f"{each.name}.length" for each in platform.cylinders]
     measured, _ = readings(model, q, channels)

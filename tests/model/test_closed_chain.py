@@ -14,7 +14,7 @@ from hydroopt.model.model import Model
 def test_gravity_loads_joints_by_links_barrels_and_rods(name: str) -> None:
     machine = load_machine(name)
     chain, model = KinematicModel(machine), Model(machine)
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     q = np.random.default_rng(3).uniform(lower, upper, (20, len(lower)))
     if name == "wheel_loader":  # not every pair of angles can be reached
         q = (lower + upper) / 2 + 0.1 * (q - (lower + upper) / 2)

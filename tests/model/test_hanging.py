@@ -16,7 +16,7 @@ from hydroopt.spatial.inertia import centre_of_mass
 def test_what_hangs_has_its_centre_of_mass_below_its_pin() -> None:
     model = Model(crane(), actuator_inertia=False)
     machine, rng = model.machine, np.random.default_rng(3)
-    low, high = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    low, high = machine.ranges.T
     q = Hanging(model).postures(rng.uniform(low, high, (50, len(low))))
     assert machine.joints[-1] == "grapple"
     ends = model.over(model.forward_kinematics, q)

@@ -101,7 +101,7 @@ def test_steady_motion_keeps_its_speed_by_the_integrator(name):
     machine = subject.machine
     psi, theta = subject.model.parameters.nominal, subject.parameters.nominal
     n = len(machine.joints)
-    q = np.array([sum(machine.link(joint).joint.range) / 2 for joint in machine.joints])
+    q = machine.ranges.mean(axis=1)
     qd = np.full(n, 0.03)
     at = subject.steady(q, qd, psi, theta)
     integrator, x = subject.integrator(psi, theta), at.x

@@ -62,7 +62,7 @@ def lengths_alone(machine, q, **channels):
 
 def spread(machine, count=200, seed=4):
     """Joint vectors (N, n) all over the joints' ranges."""
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     return lower + (upper - lower) * np.random.default_rng(seed).random((count, len(lower)))
 
 

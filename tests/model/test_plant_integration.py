@@ -52,7 +52,7 @@ def driven(plant: Plant, drive: Drive) -> tuple[Array, Array, Array]:
     for k, name in enumerate(plant.model.parameters.names):
         if name.endswith(("f_coulomb", "tau_coulomb")):
             psi[k] = FRICTION
-    ranges = np.array([plant.machine.link(joint).joint.range for joint in plant.machine.joints])
+    ranges = plant.machine.ranges
     at = plant.steady(np.mean(ranges, axis=1), np.zeros(len(ranges)), psi, plant.parameters.nominal)
     rng = np.random.default_rng(drive.seed)
     held = np.repeat(rng.choice([-1.0, 0.0, 1.0], (round(drive.seconds / 0.2), len(at.u))), 10, axis=0)

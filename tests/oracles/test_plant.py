@@ -23,7 +23,7 @@ def test_bodies_accelerate_as_mujoco_says():
     plant, rng = Plant(subject), np.random.default_rng(31)
     psi, clouds = random_bodies(subject, rng)
     tree, theta, n = MujocoTree(subject.machine, clouds), plant.parameters.nominal, 3
-    ranges = np.array([subject.machine.link(joint).joint.range for joint in subject.machine.joints])
+    ranges = subject.machine.ranges
     for _ in range(40):
         x = np.zeros(len(plant.states))
         x[:n], x[n:2 * n] = rng.uniform(ranges[:, 0], ranges[:, 1]), rng.uniform(-0.5, 0.5, n)

@@ -328,7 +328,7 @@ def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.Captur
 def test_machines_that_nothing_holds_have_a_report(tmp_path: Path) -> None:
     """Angles and a cylinder's length alone: the end is the machine's, and its place does not depend on pins."""
     model = KinematicModel(load_machine("wheel_loader"))
-    q = np.random.default_rng(0).uniform(*postures.limits(model), (20, len(model.joints)))
+    q = np.random.default_rng(0).uniform(*model.ranges.T, (20, len(model.joints)))
     none = [""] * len(q)
     poses = postures.record(model, q, none, none, geometry=model.parameters.nominal, channels=(
         "lift.q", "bucket.q", "lift_cylinder.length", "tilt_cylinder.length"))

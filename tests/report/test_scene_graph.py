@@ -53,7 +53,7 @@ def test_the_page_moves_the_machine_as_the_model_does(name: str) -> None:
     """The page's joint positions, seats and closure, against the model's kinematics and cylinder lengths."""
     machine = load_machine(name)
     model, payload = Model(machine), SceneView(SceneGraph(machine)).payload()
-    limits = np.array([machine.link(joint).joint.range for joint in machine.joints])
+    limits = machine.ranges
     q = limits[:, 0] + (limits[:, 1] - limits[:, 0]) * np.random.default_rng(1).random((25, len(limits)))
     read = np.array([unpacked(packed(column)) for column in q.T], dtype=float).T
     ends = model.over(model.forward_kinematics, q)
@@ -97,7 +97,7 @@ def test_slides_touch_what_carries_them(name: str) -> None:
     """Sections of telescopes, shoes and rollers are drawn in contact with the link before, wherever they stand."""
     graph = SceneGraph(load_machine(name))
     bodies = {body.name: body for body in graph.bodies}
-    low, high = np.array([graph.machine.link(joint).joint.range for joint in graph.machine.joints]).T
+    low, high = graph.machine.ranges.T
     drawn = np.vstack([low, high, np.random.default_rng(2).uniform(low, high, (8, len(low)))])
     slides = [body for body in graph.bodies if body.joint == "prismatic"]
     assert slides

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.fitted_motion import Linear
+from hydroopt.estimation.dynamic.with_calibrator import fixture_of
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, shared_rows
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.kernels.expression_graph import program
@@ -103,24 +104,11 @@ def _of_log(chain: KinematicModel, log: Log) -> Poses:
     if not (own | rows) & read.keys():
         raise ProblemError("the log reads nothing of the geometry but the joints' angles", where=where,
                            remedy="record the calibrator's angles or lengths of cylinders, and state their accuracy")
-    fixture = ""
-    if own & read.keys():
-        if not machine.fixtures:
-            raise ProblemError("the calibrator was attached, but the machine file states no fixture that holds its tip",
-                               where=where, remedy=f"state it, or leave out {', '.join(sorted(own & read.keys()))}")
-        fixture = _nearest(chain, read)
+    known = {joint: read[f"{joint}.q"] for joint in chain.joints if f"{joint}.q" in read}
+    fixture = fixture_of(chain, known, where).name if own & read.keys() else ""
     count = log.size
     return Poses(log.name, np.full(count, STAGE), np.full(count, fixture), t=log.t, channels=read,
                  units={name: log.units[name] for name in read}, file=np.full(count, where), sha256={where: log.sha256})
-
-
-def _nearest(chain: KinematicModel, read: dict[str, Array]) -> str:
-    """The fixture nearest to the tip (median over the samples); joints that were not read stand in their middle."""
-    middle = [np.mean(link.joint.range) for link in chain.links if link.name in chain.joints]
-    q = np.column_stack([np.broadcast_to(read.get(f"{joint}.q", at), len(next(iter(read.values()))))
-                         for joint, at in zip(chain.joints, middle, strict=True)])
-    tip = np.nanmedian(chain.over(chain.tip, chain.parameters.nominal, q)[0][:, :, 0], axis=0)
-    return min(chain.machine.fixtures, key=lambda fixture: float(np.linalg.norm(tip - fixture.position))).name
 
 
 def _with_stage(machine: Machine, chain: KinematicModel, every: Sequence[Poses]) -> Machine:

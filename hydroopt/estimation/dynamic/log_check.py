@@ -162,7 +162,7 @@ class LogCheck(Answer):
         machine = self.problem.model.machine
         motions = [data.plotted.motion for data in self.problem.experiments]
         q, qd, qdd = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "qd", "qdd"))
-        ranges = [np.ptp(machine.link(joint).joint.range) for joint in machine.joints]
+        ranges = np.ptp(machine.ranges, axis=1)
         return tuple(JointCoverage(joint, float(np.ptp(q[:, k]) / ranges[k]), float(np.sqrt(np.mean(qd[:, k] ** 2))),
                                    float(np.sqrt(np.mean(qdd[:, k] ** 2))))
                      for k, joint in enumerate(machine.joints))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from hydroopt.model.attached_calibrator import AttachedCalibrator
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.simulation.calibrator_motion import CalibratorMotion, follow
-from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
 
@@ -34,33 +33,39 @@ def attached_calibrator(model: Model, log: Log, motion: Motion, smoothing: Smoot
     if not channels:
         return None
     where = log.path or log.name
-    if not machine.fixtures:
-        raise ProblemError("the calibrator was attached, but the machine file states no fixture that holds its tip",
-                           where=where, remedy=f"state the fixture, or leave out {', '.join(sorted(channels))}")
     kinematics, n = KinematicModel(machine), len(machine.joints)
     joints = kinematics.joints[n:]
-    low, high = (bound[n:] for bound in limits(kinematics))
     sensed = np.array([f"{joint}.q" in channels for joint in joints])
-    angles = np.column_stack([log.channel(f"{joint}.q") if there else np.full(log.size, middle)
-                              for joint, there, middle in zip(joints, sensed, (low + high) / 2, strict=True)])
-    sensors = [machine.sensor(f"{joint}.q") for joint in joints]
-    noise = np.array([sensor.std if sensor else np.nan for sensor in sensors])
-    read = np.zeros((3, *angles.shape))
-    read[0] = angles
-    smooth = condition(log.t, angles[:, sensed], log.segment, smoothing, noise[sensed],
-                       names=[joint for joint, there in zip(joints, sensed, strict=True) if there], where=where)
+    names = [joint for joint, there in zip(joints, sensed, strict=True) if there]
+    noise = np.array([sensor.std if (sensor := machine.sensor(f"{joint}.q")) else np.nan for joint in names])
+    smooth = condition(log.t, np.column_stack([log.channel(f"{joint}.q") for joint in names]), log.segment, smoothing,
+                       noise, names=names, where=where)
+    read = np.zeros((3, log.size, len(joints)))
+    read[0] = kinematics.ranges.mean(axis=1)[n:]
     read[:, :, sensed] = smooth.q, smooth.qd, smooth.qdd
-    fixture = _nearest(kinematics, np.hstack([motion.q, read[0]]))
-    attached = AttachedCalibrator(model, fixture)
+    known = dict(zip((*machine.joints, *names), (*motion.q.T, *smooth.q.T), strict=True))
+    attached = AttachedCalibrator(model, fixture_of(kinematics, known, where))
     try:
         return follow(attached, motion.q, motion.qd, motion.qdd, (read[0], read[1], read[2]), sensed)
     except ProblemError as error:
         raise ProblemError(error.what, where=where, remedy=error.remedy) from None
 
 
-def _nearest(kinematics: KinematicModel, q: Array) -> Fixture:
-    """The fixture nearest to the tip (median over N samples); joints that were not read stand in their middle."""
-    tip = np.median(kinematics.over(kinematics.tip, kinematics.parameters.nominal, q)[0][:, :, 0], axis=0)
+def fixture_of(kinematics: KinematicModel, known: Mapping[str, Array], where: str) -> Fixture:
+    """The fixture nearest to the tip (median over N samples) by `known` positions (N,) of joints; all others stand in
+    the middle of their ranges.
+
+    Raises:
+        ProblemError: there is no fixture.
+    """
+    if not kinematics.machine.fixtures:
+        own = [f"{joint}.q" for joint in kinematics.joints[len(kinematics.machine.joints):] if joint in known]
+        raise ProblemError("the calibrator was attached, but the machine file states no fixture that holds its tip",
+                           where=where, remedy=f"state the fixture, or leave out {', '.join(sorted(own))}")
+    q = np.tile(kinematics.ranges.mean(axis=1), (len(next(iter(known.values()))), 1))
+    for joint, values in known.items():
+        q[:, kinematics.joints.index(joint)] = values
+    tip = np.nanmedian(kinematics.over(kinematics.tip, kinematics.parameters.nominal, q)[0][:, :, 0], axis=0)
     return min(kinematics.machine.fixtures, key=lambda fixture: float(np.linalg.norm(tip - fixture.position)))
 
 

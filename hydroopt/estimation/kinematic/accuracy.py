@@ -16,7 +16,6 @@ from hydroopt.estimation.kinematic.solution import KinematicSolution
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.description import BASE
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
 SAMPLES = 8000
@@ -55,7 +54,7 @@ class WorkspaceAccuracy(NamedTuple):
 def workspace_accuracy(solution: KinematicSolution) -> WorkspaceAccuracy:
     """At the tip of a rigid tool or of the machine, or where the calibrator's links begin, in random postures."""
     model = solution.problem.model
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     q = np.random.default_rng(solution.seed).uniform(low, high, (SAMPLES, len(low)))
     name, function = machine_end(model)
     geometry = solution.theta[: len(model.parameters)]

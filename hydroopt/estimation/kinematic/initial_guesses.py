@@ -14,13 +14,9 @@ from scipy.spatial.transform import Rotation
 from hydroopt.estimation.kinematic.observability import FARTHEST
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.model.least_squares_by_sample import nearest
-from hydroopt.simulation.postures import limits
+from hydroopt.simulation.postures import CLOSED, STEPS
 from hydroopt.spatial.inertia import Array
 
-TIGHT = 1e-11
-"""Gap [m] of a loop that counts as closed."""
-STEPS = 20
-"""Steps of Newton's method towards the unsensed angles of the nominal machine."""
 SMALL = 1e-6
 """Change of an unsensed angle [rad, m] that ends these steps."""
 GUESSES = 24
@@ -38,7 +34,7 @@ def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
     unread = layout.moving.any(axis=1)
     loops_only = bool(np.all(layout.held[unread]))  # the gap determines the angle, and is quicker than all rows
     function, count = (model.loop, model.loop_rows) if loops_only else (model.observed, layout.present.shape[1])
-    low, high = limits(model)
+    low, high = model.ranges.T
     for joints, rows, shares in _tries(function, moving, np.asarray(layout.present[unread, :count].any(axis=0))):
         before, least = best.copy(), np.full(len(best), np.inf)
         for share in shares:
@@ -87,7 +83,7 @@ def closed_angles(problem: PoseEquations, theta: Array, q: Array) -> Array:
         gap, by_q = model.over(model.loop_by_angles, theta[: len(model.parameters)], own, problem.places(theta)[which])
         return gap[:, :, 0] * strict[which], by_q * strict[which][:, :, None]
 
-    return nearest(gaps, q, steps=STEPS, close=TIGHT, ease=weight, damped=False).x
+    return nearest(gaps, q, steps=STEPS, close=CLOSED, ease=weight, damped=False).x
 
 
 def follow_unsensed(problem: PoseEquations, theta: Array, q: Array) -> Array:

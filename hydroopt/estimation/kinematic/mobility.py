@@ -189,7 +189,7 @@ def _surveyed(machine: Machine, count: int, seed: int) -> Identified | None:
     if not all(_read(machine, f"{joint}.q") for joint in machine.joints if joint not in machine.base_joints):
         return None
     model, rng = KinematicModel(machine), np.random.default_rng(seed)
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     q, touch = rng.uniform(low, high, (count, len(low))), [""] * count
     drive = [k for k in range(len(low)) if model.joints[k] not in machine.base_joints]
     channels = postures.measured_channels(model)
@@ -251,7 +251,8 @@ class _Visit:
                 self.by_q[np.ix_(self.fixture == fixture.name, loose)] = 0.0
 
     def _random(self, count: int, rng: np.random.Generator) -> Array:
-        q = rng.uniform(*postures.limits(self.model), (count, len(self.model.joints)))
+        low, high = self.model.ranges.T
+        q = rng.uniform(low, high, (count, len(low)))
         for joint, angle in self.stage.locked.items():
             q[:, self.model.joints.index(joint)] = angle
         return q
@@ -386,7 +387,8 @@ def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Identified:
         "calibrator": None, "fixtures": (), "distances": (), "tracker": None, "stages": (),
         "notes": {f"{cylinder.name}.{key}": Note(sigma=0.01) for key in keys}})
     model, rng = KinematicModel(alone), np.random.default_rng(0)
-    q = rng.uniform(*postures.limits(model), (count, len(model.joints)))
+    low, high = model.ranges.T
+    q = rng.uniform(low, high, (count, len(low)))
     poses = postures.record(model, q, [""] * count, [""] * count, geometry=model.parameters.nominal, seed=None,
                             channels=_triangle_channels(alone, cylinder))
     problem = calibration_problem(alone, poses, priors=False)

@@ -18,7 +18,6 @@ from hydroopt.estimation.kinematic.pose_layout import PoseLayout
 from hydroopt.estimation.kinematic.problem import UNFILLED, CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.machine.sensors import ACCELEROMETER, Imu
-from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
 FEWEST = {"plane": 4, "line": 3}
@@ -321,7 +320,7 @@ def _refuse_misread_columns(problem: CalibrationProblem) -> None:
 
 def _outside(problem: CalibrationProblem) -> str:
     """Which joint's readings lie outside of its limits in most poses, in words; none: ''."""
-    low, high = limits(problem.model)
+    low, high = problem.model.ranges.T
     layout = problem.layout
     for k, joint in enumerate(problem.model.joints):
         reading = layout.reading[layout.sensed[:, k], k]
@@ -335,7 +334,7 @@ def _outside(problem: CalibrationProblem) -> str:
 
 def _still(problem: CalibrationProblem) -> float:
     """Share of the sensed joints that stay within a small part of their ranges: such poses contradict no geometry."""
-    low, high = limits(problem.model)
+    low, high = problem.model.ranges.T
     sensed = problem.layout.sensed.all(axis=0)
     still = (np.ptp(problem.layout.reading, axis=0) < STILL * (high - low))[sensed]
     return float(still.mean()) if still.size else 0.0

@@ -17,8 +17,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
-from hydroopt.simulation import postures
-from hydroopt.simulation.postures import limits
 from hydroopt.spatial.inertia import Array
 
 COMPONENTS = (".rx", ".ry", ".rz", ".qw", ".qx", ".qy", ".qz")
@@ -93,7 +91,7 @@ def determined(model: KinematicModel, reading: Array, unread: NDArray[np.bool_],
         present: (N, m) which rows are read.
     """
     found = np.ones(len(reading), dtype=bool)
-    low, high = limits(model)
+    low, high = model.ranges.T
     rng = np.random.default_rng(0)
     for rows, joints in {(each.tobytes(), other.tobytes()): (each, other)
                          for each, other in zip(present, unread, strict=True) if np.any(other)}.values():
@@ -468,7 +466,7 @@ def depends(model: KinematicModel) -> NDArray[np.bool_]:
     pattern = model.observed_jacobians.sparsity_out(2)
     stated = np.zeros(pattern.shape, dtype=bool)
     stated[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
-    rng, (low, high) = np.random.default_rng(0), postures.limits(model)
+    rng, (low, high) = np.random.default_rng(0), model.ranges.T
     geometry = model.parameters.nominal + model.parameters.scale * rng.standard_normal((TRIED, len(model.parameters)))
     by_q = model.over(model.observed_jacobians, geometry, rng.uniform(low, high, (TRIED, len(low))),
                       rng.standard_normal((TRIED, model.place_size)))[2]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 from scipy.sparse import csr_array
 
 from hydroopt.logs.spline import windowed
@@ -85,6 +85,10 @@ class Bordered:
     @cached_property
     def _factor(self) -> Array:
         return cholesky_banded(self.band, lower=True)
+
+    def half(self, right: Array) -> Array:
+        """L⁻¹·b (k, c) of right sides b, with A = L·Lᵀ: inner products of these are bᵀ·A⁻¹·b."""
+        return np.asarray(lapack.dtbtrs(self._factor, right, uplo="L")[0])
 
     @cached_property
     def _solved(self) -> tuple[Array, Array]:

@@ -141,7 +141,7 @@ def fit_motion(problem: SensorProblem, readings: Readings | None = None, enough:
     stretches = [_spline(machine, readings, part) for some in recorded for part in _parted(some)]
     stretches += [_postures(machine, readings[data.channels], data, _numbered(table))
                   for table, data in zip(problem.poses, tables, strict=True)]
-    ranges = np.array([machine.link(joint).joint.range for joint in machine.joints])
+    ranges = machine.ranges
     fastest, span = machine.bandwidth or FASTEST, np.ptp(ranges, axis=1)
     numbers = tuple(common.values())
     start = MotionFit(readings, tuple(stretches), numbers, np.array([each.prior for each in numbers]),
@@ -223,7 +223,7 @@ def _first_guess(machine: Machine, readings: Mapping[tuple[str, ...], SensorRead
     rates = [np.array([kind in RATES for kind in own], dtype=bool) for own in kinds]
     made = [readings[each.channels] for each in data]
     given = [np.array([number.value for number in each.numbers]) for each in made]
-    ranges = np.array([machine.link(joint).joint.range for joint in machine.joints])
+    ranges = machine.ranges
     q, spread = ranges.mean(axis=1), np.diag(np.ptp(ranges, axis=1) ** 2)
     speed, depends = np.zeros_like(q), np.zeros(len(q), dtype=bool)
     path = np.empty((count, len(q)))

@@ -101,9 +101,7 @@ def approach(limits: Limits, start: Array, goal: Array, rate: float, *, seed: in
 class _Search:
     def __init__(self, limits: Limits, start: Array, goal: Array, seed: int) -> None:
         self.limits, self.rng = limits, np.random.default_rng(seed)
-        machine = limits.model.machine
-        ranges = np.array([machine.link(joint).joint.range for joint in machine.joints])
-        self.low, self.high = ranges.T
+        self.low, self.high = limits.model.machine.ranges.T
         self.size = self.high - self.low
         self.start, self.goal = limits.hanging.postures(np.array([start, goal]))
         at_start = self._at_rest(self.start[None])[0]

@@ -128,7 +128,7 @@ class ExcitationProblem(Shown):
         self.nodes, self.grid = (basis.rows(np.linspace(0, basis.duration, max(int(np.ceil(times * waves)) + 1, 20)))
                                  for times in (NODES, GRID))
         self.samples_per_node = self.samples / len(self.nodes.position)
-        ranges = np.array([information.model.machine.link(joint).joint.range for joint in joints])
+        ranges = information.model.machine.ranges
         self.size = np.diff(ranges, axis=1)[self.active, 0] / 2
         self.mean = np.where([joint in self.resting for joint in joints], self.resting_position, ranges.mean(axis=1))
         # the coefficients of a function that is one throughout

@@ -42,7 +42,7 @@ def _postures(problem: ExcitationProblem, near: Array, size: float, rng: np.rand
     """A posture (n,) and random ones near it, (P, n), within a part `size` of the joints' ranges; their excesses (P,
     m)."""
     joints = problem.machine.joints
-    low, high = np.array([problem.machine.link(joint).joint.range for joint in joints]).T
+    low, high = problem.machine.ranges.T
     drawn = rng.uniform(low, high, (RESTING_POSTURES, len(low)))
     q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
     for joint, position in problem.resting.items():

@@ -272,10 +272,10 @@ class Sizing:
     @cached_property
     def calibration(self) -> CalibrationProblem:
         """One pose of each group; where locked joints drift one early and one late, as many more of them spread."""
-        low, high = postures.limits(self.problem.model)
         each = 1 + any(group.drift for group in self.problem.groups)
         count = each * len(self.problem.groups)
-        found = calibration_of(self.problem, np.repeat([(low + high) / 2], count, axis=0), self.problem.labels(each))
+        middle = np.tile(self.problem.model.ranges.mean(axis=1), (count, 1))
+        found = calibration_of(self.problem, middle, self.problem.labels(each))
         where, which, factor = found.layout.locked
         drifts = np.array([kind is ParameterKind.DRIFT for kind in found.parameters.kinds])[which]
         spread = np.where(drifts, 0.5 + (factor - 0.5) / np.sqrt(3.0), factor)  # of even progress from 0 to 1
@@ -387,7 +387,7 @@ class Sizing:
         """Which closed postures (N, n) keep limits of the joints `free`, strokes, heights and dexterity, and stay away
         from them by a part of what they do when sizes are found."""
         rest = self.bounded.map(len(q))(np.repeat(self.theta(values)[:, None], len(q), axis=1), q.T)[1]
-        low, high = postures.limits(self.problem.model)
+        low, high = self.problem.model.ranges.T
         within = np.minimum(q - low, high - q)[:, list(free)]
         return np.asarray(np.all(np.asarray(rest) >= aside * ROOM - CLOSE, axis=0)
                           & np.all(within >= aside * ASIDE - CLOSE, axis=1))
@@ -428,7 +428,7 @@ class Sizing:
     def _range(self, q: Array) -> tuple[Array, Array]:
         """Lower and upper limits (G, m, n) of the angles; those at rest stay."""
         low, high = (np.broadcast_to(each + sign * ASIDE, q.shape).copy() for each, sign in zip(
-            postures.limits(self.problem.model), (1, -1), strict=True))
+            self.problem.model.ranges.T, (1, -1), strict=True))
         layout = self.calibration.layout
         still = ~(layout.sensed | layout.moving)[:: len(self.calibration.poses) // len(q)]
         still = np.broadcast_to(still[:, None], q.shape)

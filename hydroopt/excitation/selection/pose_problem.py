@@ -152,8 +152,7 @@ combinatorial and has no nonlinear or convex program; use hydroopt.solve.
 
     @cached_property
     def _one_pose_each(self) -> CalibrationProblem:
-        low, high = postures.limits(self.model)
-        return calibration_of(self, np.repeat([(low + high) / 2], len(self.groups), axis=0), self.labels(1))
+        return calibration_of(self, np.tile(self.model.ranges.mean(axis=1), (len(self.groups), 1)), self.labels(1))
 
     def labels(self, count: int) -> PoseLabels:
         """Of so many poses of each group, the groups one after another."""

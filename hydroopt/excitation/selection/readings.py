@@ -14,7 +14,6 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.criteria import FAINT
 from hydroopt.excitation.selection.pose_problem import PoseLabels, PoseProblem, calibration_of
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
 DRIVE = 2.0
@@ -124,7 +123,7 @@ class PostureReadings:
 def tip_rows(calibration: CalibrationProblem) -> Array:
     """Rows (s, P) whose squares sum up to the mean square displacement of the tip [m²] by parameters."""
     model = calibration.model
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     q = np.random.default_rng(0).uniform(low, high, (WORKSPACE, len(low)))
     _, function = machine_end(model)
     by_g = model.over(function, model.parameters.nominal, q)[1] / np.sqrt(WORKSPACE)

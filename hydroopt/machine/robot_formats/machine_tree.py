@@ -214,7 +214,7 @@ def link_poses(machine: Machine, q: Mapping[str, float]) -> dict[str, Array]:
 
 def posture(machine: Machine) -> dict[str, float]:
     """Positions of all joints of the tree at which loops are closed: as the loops state it, else mid-range."""
-    q = {name: sum(machine.link(name).joint.range) / 2 for name in machine.joints}
+    q = dict(zip(machine.joints, machine.ranges.mean(axis=1).tolist(), strict=True))
     stated = {joint: value for loop in machine.loops for joint, value in loop.posture.items() if joint in q}
     return _positions(machine, q | stated)
 

@@ -73,7 +73,7 @@ def test_noise_of_a_balance_follows_from_its_actuators_lever_arms() -> None:
     one = float(np.hypot(a, b) * machine.sensors[1].std)
     assert reach == pytest.approx(one)
     assert np.isnan(grapple)
-    q = np.random.default_rng(1).uniform(*np.array([machine.link(j).joint.range for j in machine.joints]).T, (4000, 4))
+    q = np.random.default_rng(1).uniform(*machine.ranges.T, (4000, 4))
     arms = model.over(model.transmission, q)[0]
     for k, sigma in ((0, swing), (1, boom)):
         assert sigma == pytest.approx(one * np.sqrt(np.mean(np.sum(arms[:, :, k] ** 2, axis=1))), rel=0.05)

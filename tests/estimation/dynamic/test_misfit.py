@@ -48,8 +48,9 @@ def test_inner_products_are_those_of_the_dense_covariance() -> None:
     t = np.arange(N) / 50
     by_motion, taken = rng.normal(size=(3, N, c, n)), rng.random((N, c)) < 0.9
     noise, angle_noise, bandwidth = np.array([0.5, 2.0]), np.array([0.1, 0.3]), np.array([1.5, 2.0])
-    X = rng.normal(size=(int(taken.sum()), 3))
-    whitened = ErrorCovariance(t, by_motion, taken, noise, angle_noise, bandwidth).whiten(X)
+    columns = rng.normal(size=(N, c, 3))
+    covariance = ErrorCovariance(t, by_motion, taken, noise, angle_noise, bandwidth)
+    whitened, first = covariance.whiten(columns), covariance.whiten(columns[:, 0], 0)
 
     duration = float(t[-1])
     basis = Basis(t, Grid(0.0, duration, int(np.ceil(duration * 8 * 2.0)), 1.0))
@@ -67,7 +68,10 @@ def test_inner_products_are_those_of_the_dense_covariance() -> None:
         G = np.concatenate([sum(by_motion[o, k, i, j] * (basis.derivative(o)[[k]] @ every)
                                 / basis.spacing**o for o in range(3)) for k, i in np.argwhere(taken)])
         V += G @ C @ G.T
-    np.testing.assert_allclose(whitened.inner(whitened), X.T @ np.linalg.solve(V, X), rtol=1e-8)
+    X, alone = columns[taken], np.where(np.arange(c)[:, None] == 0, columns, 0.0)[taken]
+    pairs = (whitened, whitened, X, X), (whitened, first, X, alone), (first, first, alone, alone)
+    for one, two, left, right in pairs:
+        np.testing.assert_allclose(one.inner(two), left.T @ np.linalg.solve(V, right), rtol=1e-8)
 
 
 def test_a_sound_log_raises_no_alarm(crane: Model, sound: Log) -> None:

@@ -67,7 +67,7 @@ def test_each_balance_follows_what_has_its_friction(name: str, columns: list[tup
 def test_a_cylinder_moves_with_the_lift_alone() -> None:
     """The bucket's joint stands still, its cylinder does not: by the joint no sample told of its force."""
     model, t = ho.Model(ho.load_machine("wheel_loader")), np.arange(1500) / 50
-    low, high = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints]).T
+    low, high = model.machine.ranges.T
     q, qd, qdd = np.tile((low + high) / 2, (t.size, 1)), np.zeros((t.size, 2)), np.zeros((t.size, 2))
     size, turn = 0.3 * (high - low)[0], 2 * np.pi / 6
     q[:, 0] += size * np.sin(turn * t)

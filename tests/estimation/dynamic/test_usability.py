@@ -28,7 +28,7 @@ RATE = 25.0
 def one_joint_at_a_time(model: Model, speed: Array, rng: np.random.Generator) -> Trajectory:
     """Each joint by itself from end to end of its range with minimum jerk: no random motion is like that."""
     machine = model.machine
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    lower, upper = machine.ranges.T
     at = lower + (upper - lower) * rng.uniform(0.2, 0.8, len(lower))
     pieces: list[Array] = []
     for joint in rng.permutation(len(lower)):

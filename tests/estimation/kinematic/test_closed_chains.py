@@ -245,7 +245,7 @@ def test_tracked_points_and_an_unknown_tracker(machine: Machine) -> None:
     truth = model.parameters.nominal.copy()
     for name, change in (("tracker.x", 0.3), ("tracker.yaw", -0.2), ("tracker.roll", 0.1), ("boom.a", 0.03)):
         truth[model.parameters.names.index(name)] += change
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     q = np.random.default_rng(0).uniform(low, high, (80, len(low)))
     everything = [f"{name}.q" for name in model.joints if name != "grapple_swing"]
     q[:, model.joints.index("grapple_swing")] = np.radians(42.9)

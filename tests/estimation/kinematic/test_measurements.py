@@ -257,7 +257,7 @@ def test_an_accelerometer_in_another_convention(change: Callable[[np.ndarray], n
                         'upper = "5 deg" } }\n', "")
     machine = read_machine(text)
     model = KinematicModel(machine)
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     q = np.random.default_rng(0).uniform(low, high, (20, 3))
     channels = [name for name in EVERYWHERE if not name.startswith(("laser", "cab"))]
     poses = postures.record(model, q, [""] * 20, [""] * 20, geometry=model.parameters.nominal, channels=channels,

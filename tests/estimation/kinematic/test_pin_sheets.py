@@ -22,7 +22,7 @@ def kinematics():
 
 
 def drawn(kinematics, count, seed):
-    return np.random.default_rng(seed).uniform(*postures.limits(kinematics), (count, 4))
+    return np.random.default_rng(seed).uniform(*kinematics.ranges.T, (count, 4))
 
 
 def test_lengths_are_those_of_the_dynamic_model(kinematics):

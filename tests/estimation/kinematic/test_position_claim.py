@@ -13,7 +13,6 @@ from hydroopt.excitation.selection.pose_problem import pose_problem
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.verdict import Purpose, Usable
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 
@@ -23,7 +22,7 @@ def test_the_tip_lies_within_the_figure() -> None:
     machine = load_machine("panda_mukca")
     model = KinematicModel(machine)
     plan = fedorov_exchange(pose_problem(machine, 20), candidates=200, seed=1)
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     within, dimensions = [], []
     for seed in range(12):
         made = simulate_poses(model, plan.postures, random=True, seed=seed)

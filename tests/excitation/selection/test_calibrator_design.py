@@ -112,7 +112,7 @@ def test_no_other_choice_of_candidate_poses_would_be_much_better() -> None:
 def test_poses_close_within_all_limits_and_none_is_singular() -> None:
     done = design()
     machine, model = done.machine, done.problem.model
-    low, high = postures.limits(model)
+    low, high = model.ranges.T
     fixture = np.array(machine.fixtures[0].position)
     gaps = model.over(model.closure, model.parameters.nominal, done.q, np.repeat([fixture], len(done.q), axis=0))[0]
     assert np.max(np.abs(gaps)) < 1e-9

@@ -19,7 +19,6 @@ from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readi
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
-from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
 FILE = Path(__file__).parents[3] / "docs" / "how-to" / "measure_up.toml"
@@ -41,7 +40,7 @@ def tip_std(done: MeasureUpPlan, taken: np.ndarray) -> float:
             channels[name] = np.where(taken[:, r], channels[name], np.nan)
     problem = hydroopt.calibration_problem(machine, replace(made.poses, channels=channels))
     seen = observability(problem, linearise(problem, problem.parameters.nominal, done.q))
-    q = np.random.default_rng(5).uniform(*postures.limits(model), (2000, len(model.joints)))
+    q = np.random.default_rng(5).uniform(*model.ranges.T, (2000, len(model.joints)))
     by_g = model.over(machine_end(model)[1], model.parameters.nominal, q)[1]
     return float(np.sqrt(np.mean(spread(model, seen, by_g) ** 2)))
 

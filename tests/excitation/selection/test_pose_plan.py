@@ -98,7 +98,7 @@ def test_plan_is_the_best_of_all_subsets(focus, seed):
 @pytest.mark.slow
 def test_poses_close_within_limits_and_strokes(plan):
     short = with_strokes({"stroke": 0.9}, {"dead_length": 2.2, "stroke": 0.7})
-    low, high = postures.limits(MODEL)
+    low, high = MODEL.ranges.T
     for machine, each in ((CAT, plan), (short, plan_poses(short, 15, candidates=200, fixed=FIXED))):
         gap = MODEL.over(MODEL.closure, NOMINAL, each.q, FIXTURE)[0]
         assert np.max(np.abs(gap)) < 1e-9

@@ -11,36 +11,31 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded, lapack
-from scipy.sparse import csr_array
 
-from hydroopt.logs.spline import Basis, Grid, windowed
+from hydroopt.estimation.motion.banded import Bordered, Rows
+from hydroopt.estimation.motion.paths import Spline
 from hydroopt.spatial.inertia import Array
 
 KNOTS = 8.0
 """Knots per period of the highest frequency that smoothing passes."""
-SUPPORT = 6
-"""Splines that are not zero at a time."""
+EVERY = slice(None)
 
 
 @dataclass(frozen=True, eq=False)
 class Whitened:
-    """Columns (rows, c) over their noise, and what they say of the motion's errors, in coordinates of unit variance.
+    """Columns (rows, k) over their noise, and what they say of the motion's errors, in coordinates of unit variance.
 
-    `rows` are those of one reading where all others are zero and left out.
+    `rows` are every one, or those of one reading where all others are zero and left out.
     """
 
     columns: Array
     seen: Array
-    rows: NDArray[np.intp] | None = None
+    rows: slice
 
     def inner(self, other: Whitened) -> Array:
-        """Xᵀ·V⁻¹·Y (c, d), of which one may be of one reading, or both of the same."""
-        mine, others = self.columns, other.columns
-        if self.rows is None and other.rows is not None:
-            mine = mine[other.rows]
-        elif self.rows is not None and other.rows is None:
-            others = others[self.rows]
+        """Xᵀ·V⁻¹·Y (k, l), of which one may be of one reading, or both of the same."""
+        mine = self.columns[other.rows] if self.rows == EVERY else self.columns
+        others = other.columns[self.rows] if other.rows == EVERY else other.columns
         return np.asarray(mine.T @ others - self.seen.T @ other.seen)
 
 
@@ -50,7 +45,7 @@ class ErrorCovariance:
     Args:
         t: (N,) times of a stretch [s].
         by_motion: (3, N, c, n) derivatives of c predicted readings by q, qd and qdd.
-        taken: (N, c) readings that take part; the rows are these, sample by sample.
+        taken: (N, c) readings that take part; the rows of all others are zero.
         noise: (c,) standard deviation of each reading.
         angle_noise: (n,) standard deviation of the measured positions.
         bandwidth: (n,) frequency [Hz] that smoothing passes by half.
@@ -58,49 +53,27 @@ class ErrorCovariance:
 
     def __init__(self, t: Array, by_motion: Array, taken: NDArray[np.bool_], noise: Array, angle_noise: Array,
                  bandwidth: Array) -> None:
-        self.taken = taken
-        self.size = np.broadcast_to(noise, taken.shape)[taken]
-        n = by_motion.shape[3]
-        duration = float(t[-1] - t[0])
-        knots = max(3, int(np.ceil(duration * KNOTS * float(np.max(bandwidth)))))
-        basis = Basis(t, Grid(float(t[0]), duration, min(knots, t.size), 1.0))
-        self._sensitivity = self._rows(basis, by_motion)
-        self._factor = self._factored(basis, np.broadcast_to(angle_noise, n), bandwidth)
+        self.taken, self.noise = taken, noise
+        N, n = len(t), by_motion.shape[3]
+        knots = int(np.ceil(float(t[-1] - t[0]) * KNOTS * float(np.max(bandwidth))))
+        path = Spline.over(t, min(knots, N), n)
+        support = path.support(t)
+        weight = np.array([10.0 ** path.basis.filter_of(float(each)).log_weight for each in bandwidth])
+        by_angles = np.tile(np.diag(1 / angle_noise), (N, 1, 1))
+        read, angles = (Rows.of_path(np.zeros(rows.shape[:2]), rows, 0, n * support.first) for rows in (
+            self._over_noise(support.along(list(by_motion))), support.along([by_angles])))
+        smooth = path.jerk(np.sqrt(weight * path.basis.spacing**5) / angle_noise, 0)
+        self._equations = Bordered.of([smooth, angles, read], path.coefficients.size, path.width * n, 0)
+        self._sensitivity = read.matrices(path.coefficients.size)[0]
 
     def whiten(self, columns: Array, reading: int | None = None) -> Whitened:
-        """Columns (rows, c), readings (N, c', k) of which the rows are taken, or (N, k) of one reading alone."""
-        if reading is not None:
-            rows = np.flatnonzero(np.nonzero(self.taken)[1] == reading)
-            scaled = columns[self.taken[:, reading]] / self.size[rows, None]
-            return Whitened(scaled, self._seen(self._sensitivity[rows], scaled), rows)
-        chosen = columns[self.taken] if columns.ndim == 3 else columns
-        scaled = chosen / self.size[:, None]
-        return Whitened(scaled, self._seen(self._sensitivity, scaled))
+        """Columns (N, c, k) of all readings, or (N, k) of one alone."""
+        if reading is None:
+            rows, scaled = EVERY, self._over_noise(columns).reshape(-1, columns.shape[2])
+        else:
+            rows = slice(reading, None, len(self.noise))
+            scaled = np.where(self.taken[:, reading, None], columns / self.noise[reading], 0.0)
+        return Whitened(scaled, self._equations.half(self._sensitivity[rows].T @ scaled), rows)
 
-    def _seen(self, sensitivity: csr_array, scaled: Array) -> Array:
-        """What columns (rows, c) over their noise say of the motion's errors, in coordinates of unit variance."""
-        return np.asarray(lapack.dtbtrs(self._factor, sensitivity.T @ scaled, uplo="L")[0])
-
-    def _rows(self, basis: Basis, by_motion: Array) -> csr_array:
-        """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""
-        N, c, n = by_motion.shape[1:]
-        values = np.zeros((N, c, SUPPORT, n))
-        for order in range(3):
-            splines = basis.values(basis.x, order) / basis.spacing**order
-            values += by_motion[order][:, :, None, :] * splines[:, None, :, None]
-        data = values[self.taken].reshape(self.size.size, n * SUPPORT) / self.size[:, None]
-        first = np.broadcast_to(n * basis.first[:, None], (N, c))[self.taken]
-        return windowed(data, first, n * (basis.intervals + SUPPORT - 1))
-
-    def _factored(self, basis: Basis, noise: Array, bandwidth: Array) -> Array:
-        """Cholesky factor, in band storage, of C⁻¹ + Gᵀ·D⁻¹·G."""
-        n, half = len(noise), SUPPORT - 1
-        size = basis.intervals + SUPPORT - 1
-        inverse = np.stack([(basis.gram + 10.0 ** basis.filter_of(float(bandwidth[j])).log_weight * basis.penalty)
-                            / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
-        band = np.zeros((n * SUPPORT, n * size))
-        band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
-        product = self._sensitivity.T @ self._sensitivity
-        for below, row in enumerate(band):
-            row[: n * size - below] += product.diagonal(-below)
-        return cholesky_banded(band, lower=True)
+    def _over_noise(self, values: Array) -> Array:
+        return np.where(self.taken[:, :, None], values / self.noise[:, None], 0.0)
