@@ -72,7 +72,7 @@ def test_cylinders_of_a_file_replace_drives(tmp_path):
     robot.write_text(ARM)
     stated.write_text(CYLINDERS)
     said = convert(robot, out, "--cylinders", stated).output
-    assert "lift_cylinder: 1.137 to 1.858 m long, lever arm at least 0.489" in said
+    assert "lift_cylinder: 1.137 to 1.858 m long, lever arm at least 0.487" in said
     machine = load_machine(out)
     (cylinder,) = machine.cylinders
     assert [drive.joint for drive in machine.drives] == ["dig"]
