@@ -13,12 +13,12 @@ from pygments.lexers.special import TextLexer  # noqa: E402
 from sphinx.application import Sphinx  # noqa: E402
 from sphinx.highlighting import lexers  # noqa: E402
 
-from hydroopt import versions  # noqa: E402
+from hydroopt.support import packages  # noqa: E402
 
 project = "hydroopt"
 author = "the hydroopt developers"
 project_copyright = author
-version = release = versions.version()
+version = release = packages.version()
 html_title = f"hydroopt {release}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]

@@ -21,6 +21,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.simulation.pose_table import touches
 from hydroopt.spatial.inertia import Array
 
 
@@ -148,13 +149,13 @@ def check_postures(machine: GivenMachine, tables: Poses | Sequence[Poses], *,
         reserves.checked()._replace(tracking=0.0), Reserves.none()))
     given, found = all_of(tables, (Poses,), "table of poses", described.name), list[PoseOfTable]()
     for poses in given:
-        q = _positions(chain, poses)
+        q, touch = _positions(chain, poses), touches(chain, poses)
         judged = np.all(np.isfinite(q[:, kept.places]), axis=1)
         for k in range(len(poses)):
             if not judged[k]:
                 found.append(PoseOfTable(poses.name, str(poses.pose[k]), False, (), ()))
                 continue
-            held = held_link(described, str(poses.fixture[k]), _touched(described, poses, k))
+            held = held_link(described, str(poses.fixture[k]), str(touch[k]))
             broken, short = (tuple(name for name, bad in limits.broken(q[k: k + 1], held=held, closed=True).items()
                                    if bad[0]) for limits in (itself, kept))
             found.append(PoseOfTable(poses.name, str(poses.pose[k]), True, broken,
@@ -177,13 +178,3 @@ def _positions(chain: KinematicModel, poses: Poses) -> Array:
         locked = np.array([stages.get(str(stage), {}).get(joint, np.nan) for stage in poses.stage], dtype=float)
         q[:, k] = np.where(np.isfinite(read), read, locked)
     return q
-
-
-def _touched(machine: Machine, poses: Poses, k: int) -> str:
-    """Datum and target that meet in pose k, ``floor.tooth``; '' if none do."""
-    for datum in machine.datums:
-        for target in machine.target_names:
-            values = poses.channels.get(f"{datum.name}.{target}.{datum.axes[-1]}")
-            if values is not None and np.isfinite(values[k]):
-                return f"{datum.name}.{target}"
-    return ""

@@ -9,6 +9,7 @@ from hydroopt.machine.links import Body
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS
 from hydroopt.machine.parameter_kind import ParameterKind as Kind
 from hydroopt.machine.quantity import Noun
+from hydroopt.machine.sensors import Rangefinder
 from hydroopt.machine.survey import Datum
 from hydroopt.machine.valves import EDGES
 from hydroopt.spatial import inertia
@@ -23,7 +24,10 @@ parameters of an actuator's effort begin with.
 """
 FRAME: tuple[Row, ...] = (("position", Kind.POSITION, ""), ("orientation", Kind.ORIENTATION, ""))
 DATUM: tuple[Row, ...] = (("offset", Kind.POSITION, ""), ("tilt", Kind.ORIENTATION, ""))
+BEAM: tuple[Row, ...] = (("position", Kind.POSITION, ""), ("direction", Kind.ORIENTATION, "direction."))
 ENDS: tuple[Row, ...] = tuple((f"{end}.pin", Kind.POSITION, f"{end}.") for end in ("barrel", "rod"))
+MEASURING = {"imus": FRAME, "targets": FRAME, "instruments": FRAME, "datums": DATUM, "rangefinders": BEAM}
+"""What measures poses, and its targets: the key of its table, and its rows."""
 DENAVIT_HARTENBERG: tuple[Row, ...] = (
     ("joint.theta", Kind.ANGLE), ("joint.d", Kind.LENGTH), ("joint.a", Kind.LENGTH), ("joint.alpha", Kind.ANGLE),
     ("joint.beta", Kind.ANGLE), ("pin", Kind.POSITION, "pin."))
@@ -91,9 +95,11 @@ def stated(part: Noun, rows: Sequence[Row], unit: Unit, owner: str, path: str | 
         si = None if isinstance(value, dict) else unit(node, last, owner)
         name, at = f"{owner}.{(*end, last)[0]}", f"{path or owner}.{key}"
         if isinstance(value, tuple):
-            axes = AXES if kind is Kind.POSITION else TURNS
+            axes = TURNS if si == "rad" else AXES
+            free = (*part.axes, *part.tilts) if isinstance(part, Datum) else (
+                part.across if isinstance(part, Rangefinder) and key == "direction" else axes)
             for k, axis in enumerate(axes):
-                if not isinstance(part, Datum) or axis in (*part.axes, *part.tilts):
+                if axis in free:
                     yield Number(f"{name}{axis}", kind, si or "1", value[k], at, k)
         elif isinstance(value, dict):
             for each, one in value.items():

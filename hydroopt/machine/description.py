@@ -21,9 +21,9 @@ from hydroopt.machine.file_schema import Parts
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.loops import Coupling
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.machine.quantity import CHANNEL_UNITS, Noun, quantity_of
-from hydroopt.machine.sensors import INCLINATION, Imu, Lag, Sensor
-from hydroopt.machine.survey import TIP
+from hydroopt.machine.quantity import Noun, quantity_of
+from hydroopt.machine.sensors import Imu, Lag, Measuring, Sensor
+from hydroopt.machine.survey import SEEN, TIP
 from hydroopt.machine.valves import Circuit, Valve
 from hydroopt.spatial.inertia import Array
 
@@ -32,8 +32,6 @@ BASE = "base"
 WRENCH = ("tip.fx", "tip.fy", "tip.fz", "tip.mx", "tip.my", "tip.mz")
 """Channels of the wrench that the surroundings exert on the machine at its tip: force, and moment about the tip, along
 the axes of the base frame."""
-_TURN_UNITS = dict.fromkeys(("rx", "ry", "rz"), "rad") | dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
-"""Components of a measured orientation: rotation vector, and quaternion."""
 
 
 class MachineDescription(Parts):
@@ -295,19 +293,17 @@ class MachineDescription(Parts):
             if link.joint.moving:
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
             units[f"{link.name}.distance"] = "m"
-        for imu in self.imus:
-            units |= {channel: CHANNEL_UNITS[channel.rpartition(".")[2]][0] for channel in imu.channels}
-            units |= {f"{imu.name}.{angle}": "rad" for angle in INCLINATION}
         units |= dict.fromkeys(WRENCH[:3], "N") | dict.fromkeys(WRENCH[3:], "N*m")
         if self.tracker:
-            units |= dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") | {f"tip.{k}": u for k, u in _TURN_UNITS.items()}
-        for instrument in self.instruments:
-            for target in self.target_names:
-                units |= {f"{instrument.name}.{target}.{axis}": unit
-                          for axis, unit in (dict.fromkeys("xyz", "m") | _TURN_UNITS).items()}
-        units |= {f"{datum.name}.{target}.{axis}": "m" for datum in self.datums for target in self.target_names
-                  for axis in datum.axes}
-        return units | {f"{each.name}.length": "m" for each in self.distances if each.measured}
+            units |= {f"tip.{axis}": unit for axis, unit in SEEN.items()}
+        for part in self.measuring:
+            units |= part.channel_units(self.target_names)
+        return units
+
+    @cached_property
+    def measuring(self) -> tuple[Measuring, ...]:
+        """The parts that poses are measured with beside joints, cylinders, the tracked tip and tapes to fixtures."""
+        return tuple(part for parts in self.parts.values() for part in parts if isinstance(part, Measuring))
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -382,14 +378,14 @@ class MachineDescription(Parts):
             single += addresses.stated(self.calibrator, tip, self.unit, "tip", "calibrator")
         if self.tracker:
             single += addresses.stated(self.tracker, addresses.FRAME, self.unit, "tracker")
-        instruments = [each for each in self.instruments if each.stands]
         return (*self._stated(addresses.DENAVIT_HARTENBERG, links),
                 *self._stated((("joint.compliance", ParameterKind.COMPLIANCE),),
                               [link for link in links if link.joint.moving]),
                 *self._stated(addresses.LOOP, self.loops), *self._stated(addresses.COUPLING, self.couplings),
                 *self._stated((("dead_length", ParameterKind.DEAD_LENGTH),), self.cylinders), *single,
-                *self._stated(addresses.FRAME, self.imus, self.targets, instruments),
-                *self._stated(addresses.DATUM, self.datums), *self._stated(addresses.ENDS, self.pinned))
+                *chain.from_iterable(self._stated(rows, getattr(self, key))
+                                     for key, rows in addresses.MEASURING.items()),
+                *self._stated(addresses.ENDS, self.pinned))
 
     def fixture_numbers(self, fixture: Fixture) -> tuple[Number, ...]:
         """Where a fixture stands, and how unless it is a ball."""
@@ -402,8 +398,8 @@ class MachineDescription(Parts):
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""
-        units = (imu.sensor(channel) for imu in self.imus)
-        return next((s for s in (*self.sensors, *units) if s and channel in s.channels), None)
+        own = (part.sensor(channel) for part in self.measuring)
+        return next((s for s in (*self.sensors, *own) if s and channel in s.channels), None)
 
     @property
     def lags(self) -> dict[str, Sensor | Imu]:

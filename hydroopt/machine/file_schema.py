@@ -20,7 +20,7 @@ from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.oil_links import OilLink
 from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
-from hydroopt.machine.sensors import FaultSizes, Imu, Sensor
+from hydroopt.machine.sensors import FaultSizes, Imu, Rangefinder, Sensor
 from hydroopt.machine.survey import Datum, Distance, Instrument, Target, Tracker
 from hydroopt.machine.valves import Oil
 from hydroopt.units import UnitError, spread_to_si, to_si
@@ -69,6 +69,8 @@ class Parts(Noun):
     """Accuracy of what is measured."""
     imus: tuple[Imu, ...] = ()
     """Inertial measurement units."""
+    rangefinders: tuple[Rangefinder, ...] = ()
+    """Lasers that read the distance to the ground."""
     calibrator: Calibrator | None = None
     """What closes the chain of a kinematic calibration."""
     fixtures: tuple[Fixture, ...] = ()

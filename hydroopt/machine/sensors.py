@@ -1,9 +1,9 @@
-"""What channels are measured with: sensors, inertial measurement units, usual sizes of their faults."""
+"""What channels are measured with: sensors, inertial measurement units, rangefinders, usual sizes of their faults."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from typing import Literal, NamedTuple
 
@@ -20,6 +20,7 @@ from hydroopt.machine.quantity import (
     AngularRateDensity,
     Duration,
     ImpossibleError,
+    Length,
     Lengths,
     Name,
     Noun,
@@ -83,13 +84,30 @@ class Sensor(Noun):
         noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
         return math.hypot(noise, self.resolution / math.sqrt(12))
 
-    def read(self, true: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Readings of true values (any shape), with noise, then in steps of the resolution."""
+    def read(self, true: NDArray[np.float64], rng: np.random.Generator | None) -> NDArray[np.float64]:
+        """Readings of true values (any shape), with noise, then in steps of the resolution; without `rng` the
+        true values."""
+        if rng is None:
+            return true
         half = self.accuracy
         noise = rng.uniform(-half, half, true.shape) if self.distribution == "uniform" else rng.normal(
             0.0, half, true.shape)
         read = true + noise
         return np.round(read / self.resolution) * self.resolution if self.resolution > 0 else read
+
+
+class Measuring(Noun):
+    """A part that poses are measured with, with channels of its own."""
+
+    name: Name
+    """Name of the part."""
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Its channels in a log or a table of poses, with their SI units; `targets` are the names of all targets."""
+        raise NotImplementedError
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """What a channel is measured with, where the part itself states it."""
 
 
 GYROSCOPE = ("gyro_x", "gyro_y", "gyro_z")
@@ -119,7 +137,7 @@ class Accelerometer(Noun):
     """Largest magnitude."""
 
 
-class Imu(Noun):
+class Imu(Measuring):
     """An inertial measurement unit on a link or on the base.
 
     Its channels are ``<name>.gyro_x`` to ``gyro_z`` and ``<name>.accel_x`` to ``accel_z`` along its own axes, and
@@ -133,8 +151,6 @@ class Imu(Noun):
     0.000707107
     """
 
-    name: Name
-    """Name of the unit."""
     link: str
     """Link that carries it, or `base`."""
     position: Lengths
@@ -156,6 +172,11 @@ class Imu(Noun):
         return (*(f"{self.name}.{axis}" for axis in GYROSCOPE if self.gyroscope),
                 *(f"{self.name}.{axis}" for axis in ACCELEROMETER if self.accelerometer))
 
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Those of `channels`, and of the inclination."""
+        return {channel: CHANNEL_UNITS[channel.rpartition(".")[2]][0]
+                for channel in (*self.channels, *(f"{self.name}.{angle}" for angle in INCLINATION))}
+
     def part(self, channel: str) -> Gyroscope | Accelerometer | None:
         """What measures a channel."""
         return self.gyroscope if channel.rpartition(".")[2] in GYROSCOPE else self.accelerometer
@@ -166,6 +187,64 @@ class Imu(Noun):
             return None
         return Sensor(channels=(channel,), accuracy=part.noise * math.sqrt(self.rate / 2), rate=self.rate,
                       lag=self.lag, distribution="gaussian")
+
+
+class _Ranging(Sensor):
+    """What reads positive values up to the `largest`, and nothing else."""
+
+    largest: Length
+
+    def read(self, true: NDArray[np.float64], rng: np.random.Generator | None) -> NDArray[np.float64]:
+        """As of any sensor; NaN where nothing is read."""
+        return np.where((true > 0) & (true <= self.largest), super().read(true, rng), np.nan)
+
+
+class Rangefinder(Measuring):
+    """A laser on a link or on the base that reads the distance to the level ground, at the height `ground`.
+
+    Poses read in the column ``<name>.length`` how far the ground is along the beam; they read nothing where the beam
+    points away from it or its `range` ends before.
+
+    >>> Rangefinder(name="stick_laser", link="stick", position=(1, 0, 0), direction=(1, 0.1, 0), accuracy="2 mm",
+    ...             range="30 m").across
+    ('y', 'z')
+    """
+
+    link: str
+    """Link that carries it, or `base`."""
+    position: Lengths
+    """Where distances start (3,), in the frame in which pins of that link are stated."""
+    direction: tuple[Number, Number, Number]
+    """Direction of the beam there (3,), of any length. Its largest component is exact: the others turn the beam."""
+    accuracy: Length = Field(gt=0)
+    """Standard deviation of a reading."""
+    range: Length = Field(gt=0)
+    """Largest distance that it reads."""
+
+    def _mistakes(self) -> Iterator[ImpossibleError]:
+        if not any(self.direction):
+            yield ImpossibleError(f"the beam of '{self.name}' has no direction", "state one other than zero",
+                                  "direction")
+
+    @property
+    def across(self) -> tuple[str, ...]:
+        """The two axes whose components of `direction` a calibration may change."""
+        sizes = dict(zip("xyz", map(abs, self.direction), strict=True))
+        return tuple(axis for axis in sizes if axis != max(sizes, key=sizes.__getitem__))
+
+    @property
+    def channel(self) -> str:
+        """What it reads."""
+        return f"{self.name}.length"
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """That of `channel`."""
+        return {self.channel: "m"}
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """Gaussian errors within its range."""
+        return _Ranging(channels=(channel,), accuracy=self.accuracy, distribution="gaussian",
+                        largest=self.range) if channel == self.channel else None
 
 
 class FaultSizes(Noun):

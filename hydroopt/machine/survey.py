@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from pydantic import Field
 
-from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
+from hydroopt.machine.quantity import CHANNEL_UNITS, Angle, ImpossibleError, Length, Lengths, Name, Noun
+from hydroopt.machine.sensors import Measuring
 
 TIP = "tip"
 """The target that a calibrator's tip is; its frame is the tool's."""
+SEEN = {axis: CHANNEL_UNITS[axis][0] for axis in ("x", "y", "z", "rx", "ry", "rz", "qw", "qx", "qy", "qz")}
+"""Components of a target's measured position, and of its orientation as rotation vector or quaternion; SI units."""
 
 
 class Target(Noun):
@@ -35,7 +38,7 @@ TURNED_UP = math.radians(85.0)
 """Pitch beyond which roll and yaw of an instrument can hardly be distinguished."""
 
 
-class Instrument(Noun):
+class Instrument(Measuring):
     """What measures places, and maybe orientations, of targets in its own frame.
 
     Of a target `prism`, an instrument `station` reads ``station.prism.x``, ``.y``, ``.z`` [m], and the orientation of
@@ -46,8 +49,6 @@ class Instrument(Noun):
     False
     """
 
-    name: Name
-    """Name of the instrument."""
     link: str | None = None
     """Link that carries it, or `base`; if not stated, or `ground`, it stands on the ground."""
     position: Lengths | None = None
@@ -55,6 +56,10 @@ class Instrument(Noun):
     column ``setup`` names."""
     orientation: tuple[Angle, Angle, Angle] | None = None
     """Roll, pitch, yaw of its frame."""
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Of each target."""
+        return {f"{self.name}.{target}.{axis}": unit for target in targets for axis, unit in SEEN.items()}
 
     @property
     def stands(self) -> bool:
@@ -81,7 +86,7 @@ TILTS = {"plane": ("roll", "pitch"), "line": ("pitch", "yaw")}
 """Turns of its frame that change a datum."""
 
 
-class Datum(Noun):
+class Datum(Measuring):
     """A plane, the x-y plane of its frame, or a line, the x axis of its frame.
 
     The frame is shifted along its own axes by `offset` and turned by `tilt`, which are what a calibration may change:
@@ -94,8 +99,6 @@ class Datum(Noun):
     ('z',)
     """
 
-    name: Name
-    """Name of the datum."""
     kind: Literal["plane", "line"] = "plane"
     """Plane or line."""
     position: Lengths = (0.0, 0.0, 0.0)
@@ -106,6 +109,10 @@ class Datum(Noun):
     """Shift (3,) along its own axes."""
     tilt: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw about its own axes."""
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """Of each target that touches it."""
+        return {f"{self.name}.{target}.{axis}": "m" for target in targets for axis in self.axes}
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -127,16 +134,18 @@ class Tracker(Noun):
     """Roll, pitch, yaw of its frame."""
 
 
-class Distance(Noun):
+class Distance(Measuring):
     """A distance between two points."""
 
-    name: Name
-    """Name of the distance."""
     between: tuple[Name, Name]
     """Two fixtures, or two targets of links, base or ground."""
     length: Length | None = Field(None, gt=0)
     """Between fixtures the known length, which determines the scale of a closed chain (Section 3.6.4); between targets
     none: poses read it in the column ``<name>.length``."""
+
+    def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
+        """None of a known length."""
+        return {f"{self.name}.length": "m"} if self.measured else {}
 
     @property
     def measured(self) -> bool:

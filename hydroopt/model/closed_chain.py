@@ -170,8 +170,8 @@ class KinematicModel(Shown):
         unknown = {each.name for each in self.machine.instruments if not each.stands}
         found: dict[str, list[int]] = {}
         for each in self.measurements:
-            if (name := each.name.partition(".")[0]) in unknown:
-                found.setdefault(name, []).extend(map(self.channels.index, each.channels))
+            if each.owner in unknown:
+                found.setdefault(each.owner, []).extend(map(self.channels.index, each.channels))
         return found
 
     @property

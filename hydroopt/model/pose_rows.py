@@ -7,7 +7,7 @@ if it has any, in `inputs`. Where targets and instruments are, `Frames` gives.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi as ca
 
@@ -24,21 +24,32 @@ TINY = 1e-9
 """Length [m] that keeps a distance differentiable at zero."""
 
 
+Tool = Literal["instrument", "datum", "tape", "imu", "transducer"]
+"""What a measurement is taken with; a transducer is mounted, and reads by itself."""
+
+
 class PoseRows(NamedTuple):
     """Predicted readings of one measurement.
 
     Attributes:
         name: what residuals and fits call it, ``station.prism``.
+        tool: what it is taken with.
         channels: of its readings, all in the SI unit `unit`.
         rows: (number of channels,) predictions, less the readings where the rows take these as an input.
         reading: name of that input, '' where the reading is subtracted.
     """
 
     name: str
+    tool: Tool
     channels: tuple[str, ...]
     unit: str
     rows: ca.SX
     reading: str = ""
+
+    @property
+    def owner(self) -> str:
+        """The part that it is taken with."""
+        return self.name.partition(".")[0]
 
 
 class Frames(NamedTuple):
@@ -105,7 +116,8 @@ def inputs(machine: Machine) -> dict[str, int]:
 
 def measurements(frames: Frames) -> tuple[PoseRows, ...]:
     """The rows of all measurements that a sensor is stated for, beside joints, loops, cylinders and the tracked tip."""
-    kinds = (_positions, _orientations, _datum_offsets, _distances, _inclinations, _dependent_positions)
+    kinds = (_positions, _orientations, _datum_offsets, _distances, _inclinations, _dependent_positions,
+             _beams)
     return tuple(rows for kind in kinds for rows in kind(frames))
 
 
@@ -123,7 +135,7 @@ def _positions(frames: Frames) -> Iterator[PoseRows]:
         channels = tuple(f"{instrument}.{target}.{axis}" for axis in "xyz")
         if _sensed(frames.geometry.machine, *channels):
             seen = frames.instrument(instrument).inverse() @ frames.target(target)
-            yield PoseRows(f"{instrument}.{target}", channels, "m", ca.SX(seen.origin))
+            yield PoseRows(f"{instrument}.{target}", "instrument", channels, "m", ca.SX(seen.origin))
 
 
 def _rotation_vector(name: str) -> tuple[str, ...]:
@@ -147,7 +159,7 @@ def _orientations(frames: Frames) -> Iterator[PoseRows]:
         turn = (roll_pitch_yaw(geometry.turn(TRACKER)) if instrument == TRACKER and name == TIP
                 else frames.instrument(instrument).rotation)
         reading = rotation_of(frames.inputs[f"{name}.turn"])
-        yield PoseRows(f"{name}.turn", _rotation_vector(name), "rad",
+        yield PoseRows(f"{name}.turn", "instrument", _rotation_vector(name), "rad",
                        ca.SX(vector_of(reading.T @ turn.T @ frames.target(target).rotation)), f"{name}.turn")
 
 
@@ -159,7 +171,7 @@ def _datum_offsets(frames: Frames) -> Iterator[PoseRows]:
             channels = tuple(f"{datum.name}.{target}.{axis}" for axis in datum.axes)
             if _sensed(machine, *channels):
                 seen = (frames.datum(datum.name).inverse() @ frames.target(target)).origin
-                yield PoseRows(f"{datum.name}.{target}", channels, "m",
+                yield PoseRows(f"{datum.name}.{target}", "datum", channels, "m",
                                ca.SX(ca.vertcat(*(seen["xyz".index(axis)] for axis in datum.axes))))
 
 
@@ -170,7 +182,7 @@ def _distances(frames: Frames) -> Iterator[PoseRows]:
         channel = f"{distance.name}.length"
         if distance.measured and _sensed(machine, channel):
             one, other = (frames.target(name).origin for name in distance.between)
-            yield PoseRows(channel, (channel,), "m", ca.SX(ca.sqrt(ca.sumsqr(one - other) + TINY**2)))
+            yield PoseRows(channel, "tape", (channel,), "m", ca.SX(ca.sqrt(ca.sumsqr(one - other) + TINY**2)))
 
 
 def _inclined(machine: Machine, imu: Imu) -> tuple[str, ...]:
@@ -190,10 +202,10 @@ def _inclinations(frames: Frames) -> Iterator[PoseRows]:
             both = {"roll": ca.atan2(y, z), "pitch": ca.atan2(-x, ca.sqrt(y**2 + z**2))}
             name = f"{imu.name}.inclination"
             off = ca.vertcat(*(both[each.rpartition(".")[2]] for each in channels)) - frames.inputs[name]
-            yield PoseRows(name, channels, "rad", ca.atan2(ca.sin(off), ca.cos(off)), name)
+            yield PoseRows(name, "imu", channels, "rad", ca.atan2(ca.sin(off), ca.cos(off)), name)
         if imu.accelerometer:
-            yield PoseRows(f"{imu.name}.accel", tuple(f"{imu.name}.{axis}" for axis in ACCELEROMETER), "m/s^2",
-                           machine.gravity * ca.vertcat(x, y, z) + frames.inputs[f"{imu.name}.bias"])
+            yield PoseRows(f"{imu.name}.accel", "imu", tuple(f"{imu.name}.{axis}" for axis in ACCELEROMETER),
+                           "m/s^2", machine.gravity * ca.vertcat(x, y, z) + frames.inputs[f"{imu.name}.bias"])
 
 
 def _following(machine: Machine) -> tuple[str, ...]:
@@ -207,4 +219,16 @@ def _dependent_positions(frames: Frames) -> Iterator[PoseRows]:
     for channel in _following(machine):
         joint, unit = channel.removesuffix(".q"), machine.channel_units[channel]
         off = ca.SX(frames.joints[joint] - frames.inputs[channel])
-        yield PoseRows(channel, (channel,), unit, ca.atan2(ca.sin(off), ca.cos(off)) if unit == "rad" else off, channel)
+        yield PoseRows(channel, "transducer", (channel,), unit,
+                       ca.atan2(ca.sin(off), ca.cos(off)) if unit == "rad" else off, channel)
+
+
+def _beams(frames: Frames) -> Iterator[PoseRows]:
+    """(p − ground)·e_z / (−u·e_z): from a rangefinder's place p along its beam, a unit vector u, to the ground."""
+    machine, value = frames.geometry.machine, frames.geometry.value
+    for laser in machine.rangefinders:
+        pose, beam = frames.link(laser.link), ca.vertcat(*(
+            value.get(f"{laser.name}.direction.{axis}", laser.direction[k]) for k, axis in enumerate("xyz")))
+        height = pose.point(frames.geometry.point(laser.name))[2] - machine.ground
+        yield PoseRows(laser.channel, "transducer", (laser.channel,), "m",
+                       ca.SX(-height * ca.norm_2(beam) / (pose.rotation @ beam)[2]))

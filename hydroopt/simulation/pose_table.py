@@ -56,7 +56,7 @@ def simulate_poses(model: KinematicModel, planned: Poses, *, random: bool = Fals
     parameters = model.parameters
     offset = drawn.standard_normal(len(parameters)) * parameters.scale if random else np.zeros(len(parameters))
     geometry = np.clip(parameters.nominal + offset, parameters.lower, parameters.upper)
-    touch = _touches(model, planned)
+    touch = touches(model, planned)
     q = _standing(model, geometry, q, planned, touch)
     machine, reach = model.machine, sum(abs(link.joint.a) + abs(link.joint.d) for link in model.links) + 1.0
     setups = list(dict.fromkeys(map(str, planned.setup)))
@@ -90,13 +90,12 @@ def _angles(model: KinematicModel, planned: Poses) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _touches(model: KinematicModel, planned: Poses) -> NDArray[np.str_]:
-    """(N,) datum and target that meet, ``floor.tooth``; '' where none do."""
-    touch = np.full(len(planned), "", dtype=object)
-    datums = {datum.name for datum in model.machine.datums}
+def touches(model: KinematicModel, poses: Poses) -> NDArray[np.str_]:
+    """(N,) datum and target that meet in the poses of a table, ``floor.tooth``; '' where none do."""
+    touch = np.full(len(poses), "", dtype=object)
     for each in model.measurements:
-        if each.name.partition(".")[0] in datums and each.channels[0] in planned.channels:
-            touch[np.isfinite(planned.channels[each.channels[0]])] = each.name
+        if each.tool == "datum" and each.channels[0] in poses.channels:
+            touch[np.isfinite(poses.channels[each.channels[0]])] = each.name
     return touch.astype(np.str_)
 
 

@@ -201,14 +201,13 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     rows = model.over(model.observed, geometry, q, place)[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}
     true |= {channel: rows[:, i, 0] for i, channel in enumerate(model.channels)}
-    rng = np.random.default_rng(seed)
+    rng = None if seed is None else np.random.default_rng(seed)
     read = {}
     for channel in channels:
         sensor = model.machine.sensor(channel)
-        read[channel] = true[channel] if seed is None or sensor is None else sensor.read(true[channel], rng)
-    datums = {datum.name for datum in model.machine.datums}
+        read[channel] = true[channel] if sensor is None else sensor.read(true[channel], rng)
     for each in model.measurements if len(touch) else ():
-        for channel in each.channels if each.name.partition(".")[0] in datums else ():
+        for channel in each.channels if each.tool == "datum" else ():
             if channel in read:
                 read[channel] = np.where(np.array(touch) == each.name, read[channel], np.nan)
     units = {channel: unit for channel, unit in model.machine.channel_units.items() if channel in read}

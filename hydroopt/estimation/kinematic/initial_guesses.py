@@ -199,7 +199,7 @@ def sightings(problem: PoseEquations) -> Iterator[tuple[str, Sighting]]:
     expected = model.over(model.observed, problem.start[: len(model.parameters)], q, place)[0][:, :, 0]
     for name in model.instruments:
         groups = [(each.unit, [model.channels.index(channel) for channel in each.channels], each.name)
-                  for each in model.measurements if each.name.partition(".")[0] == name]
+                  for each in model.measurements if each.owner == name]
         firsts = layout.place[:, model.inputs[f"{name}.pose"].start]
         for first in np.unique(firsts[firsts >= 0]):
             rows = firsts == first

@@ -22,7 +22,7 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.calibration_chain import Fixture, Stage
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.closed_chain import KinematicModel, recent_chain
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
@@ -178,10 +178,9 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
 
 def _surveyors(machine: Machine) -> list[str]:
     """Names of what measures poses without closing a chain: instruments, datums, tapes between targets, units."""
-    units = [imu.name for imu in machine.imus if imu.accelerometer or any(
-        machine.sensor(f"{imu.name}.{angle}") for angle in ("roll", "pitch"))]
-    return [*(each.name for each in machine.instruments), *(each.name for each in machine.datums),
-            *(each.name for each in machine.distances if each.measured), *units]
+    parts = {each.name for each in machine.measuring}
+    return list(dict.fromkeys(each.owner for each in recent_chain(machine).measurements
+                              if each.owner in parts)) if parts else []
 
 
 def _surveyed(machine: Machine, count: int, seed: int) -> Identified | None:
@@ -193,10 +192,9 @@ def _surveyed(machine: Machine, count: int, seed: int) -> Identified | None:
     low, high = model.ranges.T
     q, touch = rng.uniform(low, high, (count, len(low))), [""] * count
     drive = [k for k in range(len(low)) if model.joints[k] not in machine.base_joints]
-    datums = {datum.name for datum in machine.datums}
     channels = postures.measured_channels(model)
     for each in model.measurements:
-        if each.name.partition(".")[0] in datums and set(each.channels) & set(channels):
+        if each.tool == "datum" and set(each.channels) & set(channels):
             meeting, good = postures.close(model, model.parameters.nominal, q[:count], drive, each)
             q, touch = np.vstack([q, meeting[good]]), [*touch, *[each.name] * int(np.sum(good))]
     poses = postures.record(model, q, [POSES] * len(q), [""] * len(q), geometry=model.parameters.nominal, touch=touch,

@@ -84,7 +84,8 @@ def refuse_unusable(problem: CalibrationProblem) -> None:
     if not has_length_scale(problem):
         raise no_length_scale(f"poses of {problem.poses.name}", "fix a length, state a distance between fixtures, or "
                               "read a tape, a tracker or a cylinder's length")
-    for refuse in (_refuse_unseen, _refuse_untouched, _refuse_misread_inclination, _refuse_misread_columns):
+    for refuse in (_refuse_unseen, _refuse_untouched, _refuse_missed_ground, _refuse_misread_inclination,
+                   _refuse_misread_columns):
         refuse(problem)
 
 
@@ -158,6 +159,26 @@ def _refuse_untouched(problem: CalibrationProblem) -> None:
                 f"time{'s' * (touches != 1)} only", where=f"poses of {problem.poses.name}",
                 remedy=f"touch it in {FEWEST[datum.kind]} poses or more, use its confidence, or state its place "
                        "without a 'sigma'")
+
+
+def _refuse_missed_ground(problem: CalibrationProblem) -> None:
+    """Refuse a distance to the ground in a pose in which the beam points away from it."""
+    model, layout, poses = problem.model, problem.layout, problem.poses
+    for laser in model.machine.rangefinders:
+        i = model.channels.index(laser.channel)
+        for row in np.flatnonzero(layout.present[:, i] & ~layout.moving.any(axis=1) & ~(_expected(problem)[:, i] > 0)):
+            raise ProblemError(f"'{laser.channel}' is {layout.target[row, i]:.4g} m, but by the machine file its beam "
+                               "cannot hit the ground in this pose",
+                               where=f"{poses.file[row] or poses.name}, data row {poses.row[row]}",
+                               remedy=f"check the joints' readings, and 'position' and 'direction' of '{laser.name}'")
+
+
+def _expected(problem: CalibrationProblem) -> Array:
+    """What the nominal machine reads (N, m), its joints as read or locked."""
+    model, theta = problem.model, problem.start
+    place, q = problem.places(theta), problem.angles(theta, problem.layout.reading)
+    place[:, list(model.readings.values())] = 0.0
+    return model.over(model.observed, theta[: len(model.parameters)], q, place)[0][:, :, 0]
 
 
 def refuse_planned(problem: CalibrationProblem) -> None:
@@ -237,9 +258,7 @@ def _accelerations(problem: CalibrationProblem, imu: Imu) -> Array:
 def _up(problem: CalibrationProblem, imu: Imu) -> tuple[Array, Array, tuple[str, ...]]:
     """Directions of up (K, 3) in a unit's axes, expected and felt, where all joints are read; and the channels."""
     model, layout = problem.model, problem.layout
-    place = problem.places(problem.start)
-    place[:, list(model.readings.values())] = 0.0
-    predicted = model.over(model.observed, problem.start[: len(model.parameters)], layout.reading, place)[0][:, :, 0]
+    predicted = _expected(problem)
     for names in (tuple(f"{imu.name}.{axis}" for axis in ACCELEROMETER), (f"{imu.name}.roll", f"{imu.name}.pitch")):
         if not set(names) <= set(model.channels):
             continue

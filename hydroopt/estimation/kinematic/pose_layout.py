@@ -216,8 +216,7 @@ class LayoutBuilder:
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
         read = {**self.poses.channels, **turns(self.poses)}
-        parts = {part.name for kind in (self.machine.instruments, self.machine.datums, self.machine.distances,
-                                        self.machine.imus) for part in kind}
+        parts = {part.name for part in self.machine.measuring}
         followers = {f"{joint}.q" for joint in self.machine.dependent_joints}
         for name, values in read.items():
             measured = name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3]) or name in followers
@@ -405,10 +404,9 @@ class LayoutBuilder:
             np.diag(information))
 
     def exact(self) -> dict[str, float]:
-        """Fixtures whose position the machine file states without a confidence, and what no pose measures of targets,
-        instruments, datums and units."""
-        parts = {part.name for kind in (self.machine.targets, self.machine.instruments, self.machine.datums,
-                                        self.machine.imus) for part in kind}
+        """Fixtures whose position the machine file states without a confidence, and what no pose measures of targets
+        and of what poses are measured with."""
+        parts = {*(part.name for part in self.machine.targets), *(part.name for part in self.machine.measuring)}
         own, pattern = self.model.parameters, self.model.observed_jacobians.sparsity_out(1)
         seen = np.asarray(self.present.any(axis=0))
         idle = {name: own.nominal[k] for k, name in enumerate(own.names) if name.partition(".")[0] in parts

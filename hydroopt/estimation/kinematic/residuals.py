@@ -79,7 +79,7 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
     A gap is compared with how far the link that carries the calibrator travels over the poses.
     """
     left, layout, model = gaps(problem, theta, q), problem.layout, problem.model
-    datums, table = {datum.name for datum in model.machine.datums}, dict[str, Fit]()
+    touches, table = {each.name for each in model.measurements if each.tool == "datum"}, dict[str, Fit]()
     for name, (some, unit) in groups(problem).items():
         there = _there(problem, name, some)
         if not np.any(there):
@@ -93,7 +93,7 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
             signal = ends[:, :, chain.index(model.machine.calibrator.parent)]
         fit = Fit.of(left[there][:, some], signal[there], unit)
         # all readings of a datum are zero, or the radius of a ball
-        alike = name == "turn" or name.partition(".")[0] in datums
+        alike = name == "turn" or name in touches
         table[name] = Fit(fit.rms, float("nan"), float("nan"), unit) if alike else fit
     return table
 

@@ -249,7 +249,7 @@ class MeasureUpPlan(PosePlan):
 
     def _expected(self, reading: Reading, k: int) -> str:
         """The values that the nominal geometry gives; none where the instrument's place is not known."""
-        if any(each.name == reading.name.partition(".")[0] and not each.stands for each in self.machine.instruments):
+        if reading.owner in self.calibration.model.instruments:
             return ""
         expected = self.calibration.poses
         values = [(channel.rpartition(".")[2], float(expected.channels[channel][k]), expected.units[channel])

@@ -208,10 +208,8 @@ class PosePlan(Answer):
     @property
     def _touches(self) -> dict[str, Array]:
         """Channels (N,) of datums: zero in the poses that touch them, else NaN."""
-        datums = {datum.name for datum in self.machine.datums}
         return {channel: np.where(self.labels.touch == each.name, 0.0, np.nan)
-                for each in self.problem.model.measurements if each.name.partition(".")[0] in datums
-                for channel in each.channels}
+                for each in self.problem.model.measurements if each.tool == "datum" for channel in each.channels}
 
     def _table(self, channels: Mapping[str, Array]) -> Poses:
         return Poses(name=f"plan for {self.machine.name}", stage=self.stage, fixture=self.fixture,
@@ -277,16 +275,16 @@ class PosePlan(Answer):
     def _to_read(self, group: PoseGroup) -> tuple[str, ...]:
         """What to read in each pose of a group: with what, of what, and the columns of the table that it fills."""
         taken = readings(self.problem.model, self.problem.channels)
-        datums = {datum.name for datum in self.machine.datums}
         between = {each.name: " to ".join(each.between) for each in self.machine.distances}
+        cylinders = {cylinder.name for cylinder in self.machine.cylinders}
         tools = {"instrument": "instrument", "tape": "tape", "imu": "inclinometer", "transducer": "sensor",
                  "datum": "datum", "calibrator": "calibrator"}
         lines = []
         for each in taken:
             target = between.get(each.owner) or each.name.partition(".")[2]
-            if each.owner in datums and each.name != group.touch:
+            if each.kind == "datum" and each.name != group.touch:
                 continue
-            if each.name.endswith(".length") and each.owner not in between:
+            if each.owner in cylinders:
                 what = f"length of {each.owner}, pin to pin ({tools[each.kind]})"
             elif each.name == "tip":
                 what = "tip, by the tracker"

@@ -264,8 +264,7 @@ def measured_along(model: KinematicModel, group: PoseGroup) -> int:
 
 def _groups(machine: Machine, stages: Sequence[str] | None, setups: Sequence[str]) -> tuple[PoseGroup, ...]:
     seen = machine.calibrator is not None and (machine.fixtures or machine.tracker)
-    measured = machine.instruments or machine.imus or machine.datums or any(d.measured for d in machine.distances)
-    if not seen and not measured and not any(
+    if not seen and not machine.measuring and not any(
             machine.sensor(f"{cylinder.name}.length") for cylinder in machine.cylinders):
         raise ProblemError("nothing holds or tracks the machine's tip, and no cylinder's length is read, so that poses "
                            "identify nothing", where=f"machine '{machine.name}'",

@@ -18,8 +18,8 @@ from hydroopt.spatial.inertia import Array
 
 DRIVE = 2.0
 """Minutes to drive to a posture and come to rest."""
-SHOT, TAPE, TOUCH, BY_ITSELF = 0.5, 1.0, 0.5, 0.0
-"""Minutes to sight a target, to hold a tape, to set a target down on a datum, and of sensors that are mounted."""
+MINUTES = {"instrument": 0.5, "tape": 1.0, "datum": 0.5, "imu": 0.0, "transducer": 0.0}
+"""To sight a target, to hold a tape, to set a target down on a datum; none of sensors that are mounted."""
 SET_UP = {"instrument": 15.0, "datum": 5.0, "tape": 2.0, "imu": 15.0, "transducer": 0.0, "calibrator": 60.0}
 """Minutes before the first reading: to set up an instrument or a tracker, to lay out a datum, to fetch a tape, to mount
 an IMU, to attach a calibrator."""
@@ -61,19 +61,14 @@ def readings(model: KinematicModel, channels: Sequence[str]) -> tuple[Reading, .
     """What the machine file lets one read in a pose, of the channels that have a sensor; joints' own sensors are no
     reading: they read in every pose."""
     machine = model.machine
-    kinds = {each.name: (kind, spent) for kind, parts, spent in (
-        ("instrument", machine.instruments, SHOT), ("tape", machine.distances, TAPE), ("datum", machine.datums, TOUCH),
-        ("imu", machine.imus, BY_ITSELF)) for each in parts}
     found = []
     for name in (f"{cylinder.name}.length" for cylinder in machine.cylinders):
         sensor = machine.sensor(name)
         rated = sensor is not None and sensor.rate is not None
-        found.append(Reading(name, (name,), TAPE, "transducer" if rated else "tape"))
+        found.append(Reading(name, (name,), MINUTES["tape"], "transducer" if rated else "tape"))
     if machine.tracker:
-        found.append(Reading("tip", tuple(f"tip.{axis}" for axis in "xyz"), SHOT, "instrument"))
-    for each in model.measurements:
-        kind, spent = kinds.get(each.name.partition(".")[0], ("transducer", BY_ITSELF))
-        found.append(Reading(each.name, each.channels, spent, kind))
+        found.append(Reading("tip", tuple(f"tip.{axis}" for axis in "xyz"), MINUTES["instrument"], "instrument"))
+    found += [Reading(each.name, each.channels, MINUTES[each.tool], each.tool) for each in model.measurements]
     return tuple(each for each in found if set(each.channels) <= set(channels))
 
 
