@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
-from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.closed_chain import Held, KinematicModel
 from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.model.pose_rows import PoseRows
 from hydroopt.spatial.inertia import Array
@@ -24,10 +24,6 @@ STEP = 0.3
 REACHED, RESERVE = 3.0, 0.1
 """How far from the ends of a stroke planned postures stay, so that the machine reaches them: so many standard
 deviations that the stated geometry leaves to the stroke there, and at most this part of the stroke."""
-
-
-Held = Fixture | Array | PoseRows
-"""A fixture of the machine, where a ball is held (3,) or (N, 3) [m], or what is zero where a target touches a datum."""
 
 
 def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], held: Held,
@@ -49,7 +45,7 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
         function, rows = model.observed_by_angles, [model.channels.index(channel) for channel in held.channels]
     else:
         function, rows = model.loop_by_angles, list(held.closes if isinstance(held, Fixture) else CLOSES["ball"])
-    found, turning, place = np.array(q, dtype=float), np.array(free, dtype=int), place_of(model, held, len(q))
+    found, turning, place = np.array(q, dtype=float), np.array(free, dtype=int), model.place_of(held, len(q))
 
     def gaps(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         tried = found[which]
@@ -60,19 +56,6 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
     found[:, turning], size, _ = nearest(gaps, found[:, turning], steps=STEPS, longest=STEP, close=CLOSED, ease=weight,
                                          damped=False)
     return found, size <= CLOSED
-
-
-def place_of(model: KinematicModel, held: Held, count: int) -> Array:
-    """Places (count, k) of what holds the tip, see `KinematicModel.loop`; tapes end there, too."""
-    place = np.zeros((count, model.place_size))
-    if isinstance(held, Fixture):
-        place[:, :3] = held.position
-        if model.oriented:
-            place[:, 3:6] = held.orientation
-    elif not isinstance(held, PoseRows):
-        place[:, :3] = held
-    place[:, model.tape_end] = place[:, :3]
-    return place
 
 
 def sensed_joints(model: KinematicModel) -> list[int]:
@@ -190,7 +173,7 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     known = {each.name: each for each in model.machine.fixtures}
     for label in set(fixture) & known.keys():
         there = np.array(fixture) == label
-        place[there] = place_of(model, known[label], int(there.sum()))
+        place[there] = model.place_of(known[label], int(there.sum()))
     for label in set(tape) & known.keys() if model.taped else ():
         place[np.array(tape) == label, model.tape_end] = known[label].position
     for (instrument, label), stands in (standing or {}).items():

@@ -242,7 +242,7 @@ class _Visit:
                                                                      if i >= model.loop_rows]
         self.by_q = np.zeros((0, len(model.channels), len(model.joints)))
         if len(self.q):
-            places = [postures.place_of(model, fixture, len(q))
+            places = [model.place_of(fixture, len(q))
                       for fixture, q in zip(self.fixtures, found, strict=False)]
             self.by_q = model.over(model.observed_by_angles, model.parameters.nominal, self.q,
                                    np.concatenate(places or [np.zeros((len(self.q), model.place_size))]))[1]
