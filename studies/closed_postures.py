@@ -28,7 +28,7 @@ def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry
     """
     turning = postures.sensed_joints(model)
     found, tried = postures.closed_postures(
-        model, count, np.random.default_rng(seed), geometry=geometry, turning=turning, fixture=fixture,
+        model, count, np.random.default_rng(seed), geometry=geometry, turning=turning, held=fixture,
         within_limits=[*turning, *(model.joints.index(name) for name in stage.moves)],
         locked=dict(stage.locked) | (locked or {}), batch=2 * count,
         give_up=lambda found, tried: tried >= 100 * count + 1000)

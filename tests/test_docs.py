@@ -70,7 +70,7 @@ INNER = {
                           "directional_derivative", "weighted_gradient", "excess", "bounds"},
     "HydraulicProblem": {"stretches_of"},
     "IdentificationProblem": {"statements", "requirements", "with_experiments", "prior_misfit"},
-    "KinematicModel": {"scene_graph", "loop_sines", "tip_in_frame"}, "Log": {"pieces", "sampled"},
+    "KinematicModel": {"scene_graph", "loop_sines", "place_of", "tip_in_frame"}, "Log": {"pieces", "sampled"},
     "Model": {"refuse_seals"}, "ParameterTable": {"card_tables"}, "PoseProblem": {"labels"},
     "Plant": {"integrator", "chamber_pressures", "supply_pressure", "flow_and_contact"}}
 """Methods that solvers and pages call, not users."""

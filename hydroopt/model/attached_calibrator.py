@@ -60,11 +60,8 @@ class AttachedCalibrator:
         self.kinematics = chain = KinematicModel(machine)
         count = len(chain.joints)
         symbols = Coordinates(*(ca.SX.sym(name, count) for name in ("q", "qd", "qdd")))
-        place = np.zeros(chain.place_size)
-        place[:3] = fixture.position
-        if chain.oriented:
-            place[3:6] = fixture.orientation
-        loop = chain.loop(ca.DM(chain.parameters.nominal), symbols.q, ca.DM(place))[list(fixture.closes)]
+        place = ca.DM(chain.place_of(fixture, 1)[0])
+        loop = chain.loop(ca.DM(chain.parameters.nominal), symbols.q, place)[list(fixture.closes)]
         rate = ca.jtimes(loop, symbols.q, symbols.qd)
         self.loop_rates = ca.Function(
             "loop_rates", [symbols.q, symbols.qd],

@@ -13,12 +13,13 @@ import numpy as np
 from hydroopt.kernels.native import Runner
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number
+from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.cylinder_motion import centre_line
-from hydroopt.model.pose_rows import Frames, inputs, measurements
+from hydroopt.model.pose_rows import Frames, PoseRows, inputs, measurements
 from hydroopt.model.recent import Recent
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
@@ -28,6 +29,8 @@ from hydroopt.support.notebook_card import Card, Shown
 
 TINY = 1e-9
 """Length [m] that keeps a distance differentiable at zero."""
+Held = Fixture | Array | PoseRows
+"""A fixture of the machine, where a ball is held (3,) or (N, 3) [m], or what is zero where a target touches a datum."""
 
 
 class KinematicModel(Shown):
@@ -178,6 +181,18 @@ class KinematicModel(Shown):
     def tape_end(self) -> slice:
         """Where the end of a pose's tapes is in its `place`: the fixture where no tape has a sensor."""
         return self.inputs["tape" if self.taped else "fixture"]
+
+    def place_of(self, held: Held, count: int) -> Array:
+        """Places (count, k) of what holds the tip, see `loop`; tapes end there, too."""
+        place = np.zeros((count, self.place_size))
+        if isinstance(held, Fixture):
+            place[:, :3] = held.position
+            if self.oriented:
+                place[:, 3:6] = held.orientation
+        elif not isinstance(held, PoseRows):
+            place[:, :3] = held
+        place[:, self.tape_end] = place[:, :3]
+        return place
 
     @cached_property
     def observed_jacobians(self) -> ca.Function:

@@ -107,9 +107,9 @@ def _standing(model: KinematicModel, geometry: Array, q: Array, planned: Poses, 
         there = planned.fixture == fixture.name
         q[there] = _met(planned, there, *postures.close(model, geometry, q[there], free, fixture))
     drive = [k for k in range(q.shape[1]) if k not in still]
-    for name in set(touch.tolist()) - {""}:
-        there = touch == name
-        q[there] = _met(planned, there, *postures.touch_datum(model, geometry, q[there], drive, name))
+    for each in [one for one in model.measurements if one.name in touch]:
+        there = touch == each.name
+        q[there] = _met(planned, there, *postures.close(model, geometry, q[there], drive, each))
     return q
 
 

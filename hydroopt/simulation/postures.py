@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,9 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
-from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.closed_chain import Held, KinematicModel
 from hydroopt.model.least_squares_by_sample import nearest
+from hydroopt.model.pose_rows import PoseRows
 from hydroopt.spatial.inertia import Array
 
 CLOSED = 1e-11
@@ -26,42 +26,26 @@ REACHED, RESERVE = 3.0, 0.1
 deviations that the stated geometry leaves to the stroke there, and at most this part of the stroke."""
 
 
-Held = Fixture | Array
-"""A fixture of the machine, or where a ball is held (3,) or (N, 3) [m]."""
-
-
-def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Held,
+def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], held: Held,
           weight: Array | float = 1.0) -> tuple[Array, NDArray[np.bool_]]:
-    """Close chains by turning some joints, by as little as possible.
+    """Close chains, or bring a datum and a target together, by turning some joints, by as little as possible.
 
     Args:
         model: geometry.
         geometry: (p,) its parameters.
         q: (N, n) initial joint vectors [rad, m].
         free: positions of the joints that may turn.
-        fixture: what holds the tip.
+        held: what holds the tip, or what touches.
         weight: (number of free joints,) how easily each of them turns; all alike by default.
 
     Returns:
         (N, n) joint vectors and (N,) whether the chain closes.
     """
-    rows = list(fixture.closes if isinstance(fixture, Fixture) else CLOSES["ball"])
-    return _vanishing(model, model.loop_by_angles, rows, geometry, q, free, place_of(model, fixture, len(q)), weight)
-
-
-def touch_datum(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
-                touch: str) -> tuple[Array, NDArray[np.bool_]]:
-    """Bring a datum and a target together, as `close` does; `touch` names both, ``floor.tooth``."""
-    rows = [model.channels.index(channel) for each in model.measurements if each.name == touch
-            for channel in each.channels]
-    place = np.zeros((len(q), model.place_size))
-    return _vanishing(model, model.observed_by_angles, rows, geometry, q, free, place)
-
-
-def _vanishing(model: KinematicModel, function: Any, rows: list[int], geometry: Array, q: Array,
-               free: Sequence[int], place: Array, ease: Array | float = 1.0) -> tuple[Array, NDArray[np.bool_]]:
-    """Joint vectors at which some rows of a function and its Jacobian by angles vanish, and (N,) whether they do."""
-    found, turning = np.array(q, dtype=float), np.array(free, dtype=int)
+    if isinstance(held, PoseRows):
+        function, rows = model.observed_by_angles, [model.channels.index(channel) for channel in held.channels]
+    else:
+        function, rows = model.loop_by_angles, list(held.closes if isinstance(held, Fixture) else CLOSES["ball"])
+    found, turning, place = np.array(q, dtype=float), np.array(free, dtype=int), model.place_of(held, len(q))
 
     def gaps(own: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         tried = found[which]
@@ -69,22 +53,9 @@ def _vanishing(model: KinematicModel, function: Any, rows: list[int], geometry: 
         gap, by_q = model.over(function, geometry, tried, place[which])
         return gap[:, rows, 0], by_q[:, rows][:, :, turning]
 
-    found[:, turning], size, _ = nearest(gaps, found[:, turning], steps=STEPS, longest=STEP, close=CLOSED, ease=ease,
+    found[:, turning], size, _ = nearest(gaps, found[:, turning], steps=STEPS, longest=STEP, close=CLOSED, ease=weight,
                                          damped=False)
     return found, size <= CLOSED
-
-
-def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:
-    """Places (count, k) of what holds the tip, see `KinematicModel.loop`; tapes end there, too."""
-    place = np.zeros((count, model.place_size))
-    if isinstance(fixture, Fixture):
-        place[:, :3] = fixture.position
-        if model.oriented:
-            place[:, 3:6] = fixture.orientation
-    else:
-        place[:, :3] = fixture
-    place[:, model.tape_end] = place[:, :3]
-    return place
 
 
 def sensed_joints(model: KinematicModel) -> list[int]:
@@ -132,9 +103,9 @@ def measured_channels(model: KinematicModel) -> tuple[str, ...]:
 
 def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
                     turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
-                    fixture: Held | None, batch: int, give_up: Callable[[int, int], bool],
-                    within_strokes: Array | None = None, touch: str = "",
-                    sieve: Callable[[Array, Array], Array] | None = None) -> tuple[Array, int]:
+                    held: Held | None, batch: int, give_up: Callable[[int, int], bool],
+                    within_strokes: Array | None = None, sieve: Callable[[Array, Array], Array] | None = None
+                    ) -> tuple[Array, int]:
     """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
 
     Args:
@@ -144,12 +115,11 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         turning: positions of the joints that close the chain.
         within_limits: positions of the joints that must be within their limits when it is closed.
         locked: angles [rad] of joints at rest.
-        fixture: what holds the tip; None for an open chain.
+        held: what holds the tip, or what touches; None for an open chain.
         batch: postures tried at once.
         give_up: whether to stop, by the number of postures found and tried.
         within_strokes: (p,) standard deviations of the geometry, if the cylinders must be within their strokes also
             where it is `REACHED` of them off, but never more than `RESERVE` of a stroke away from its ends.
-        touch: datum and target that meet, ``floor.tooth``; '' for none.
         sieve: leaves of closed postures (N, n) at the geometry (p,) those that are wanted (K, n).
 
     Returns:
@@ -163,10 +133,8 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         for joint, angle in locked.items():
             q[:, model.joints.index(joint)] = angle
         usable = np.ones(batch, dtype=bool)
-        if fixture is not None:
-            q, usable = close(model, geometry, q, turning, fixture)
-        elif touch:
-            q, usable = touch_datum(model, geometry, q, turning, touch)
+        if held is not None:
+            q, usable = close(model, geometry, q, turning, held)
         usable &= np.all(((q >= low) & (q <= high))[:, list(within_limits)], axis=1)
         if within_strokes is not None:
             out, _, by_geometry = model.over(model.strokes_by_geometry, geometry, q)
@@ -205,7 +173,7 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     known = {each.name: each for each in model.machine.fixtures}
     for label in set(fixture) & known.keys():
         there = np.array(fixture) == label
-        place[there] = place_of(model, known[label], int(there.sum()))
+        place[there] = model.place_of(known[label], int(there.sum()))
     for label in set(tape) & known.keys() if model.taped else ():
         place[np.array(tape) == label, model.tape_end] = known[label].position
     for (instrument, label), stands in (standing or {}).items():

@@ -195,7 +195,7 @@ def _surveyed(machine: Machine, count: int, seed: int) -> Identified | None:
     channels = postures.measured_channels(model)
     for each in model.measurements:
         if each.tool == "datum" and set(each.channels) & set(channels):
-            meeting, good = postures.touch_datum(model, model.parameters.nominal, q[:count], drive, each.name)
+            meeting, good = postures.close(model, model.parameters.nominal, q[:count], drive, each)
             q, touch = np.vstack([q, meeting[good]]), [*touch, *[each.name] * int(np.sum(good))]
     poses = postures.record(model, q, [POSES] * len(q), [""] * len(q), geometry=model.parameters.nominal, touch=touch,
                             channels=channels, seed=None)
@@ -242,7 +242,7 @@ class _Visit:
                                                                      if i >= model.loop_rows]
         self.by_q = np.zeros((0, len(model.channels), len(model.joints)))
         if len(self.q):
-            places = [postures.place_of(model, fixture, len(q))
+            places = [model.place_of(fixture, len(q))
                       for fixture, q in zip(self.fixtures, found, strict=False)]
             self.by_q = model.over(model.observed_by_angles, model.parameters.nominal, self.q,
                                    np.concatenate(places or [np.zeros((len(self.q), model.place_size))]))[1]
@@ -263,7 +263,7 @@ class _Visit:
             return np.zeros((0, len(self.model.joints)))
         return postures.closed_postures(
             self.model, count, rng, geometry=self.model.parameters.nominal, turning=self.turning,
-            within_limits=self.turning, locked=self.stage.locked, fixture=fixture, batch=2 * count,
+            within_limits=self.turning, locked=self.stage.locked, held=fixture, batch=2 * count,
             give_up=lambda _, tried: tried >= TRIES * count)[0]
 
     def rank(self, joints: Sequence[int], rows: Sequence[int]) -> int:

@@ -202,7 +202,7 @@ class Sizing:
             free = self._free(group)
             q, _ = postures.closed_postures(
                 model, 8 * count, rng, geometry=self._geometry(values), turning=postures.sensed_joints(model),
-                within_limits=free, locked=group.locked, fixture=self._ball(values),
+                within_limits=free, locked=group.locked, held=self._ball(values),
                 batch=4 * count, give_up=lambda closed, tried: tried >= 8 * count)
             found.append(self._fitting(values, group, q, aside)[:count])
         return found

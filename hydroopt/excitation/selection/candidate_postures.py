@@ -63,11 +63,11 @@ def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
     turning = [k for k in postures.read_joints(model) if k not in held and k not in moving]
     if group.touch:  # the machine itself drives there
         turning += [model.joints.index(joint) for joint in group.moves]
-    fixture = next((each for each in model.machine.fixtures if each.name == group.fixture), None)
+    known = {each.name: each for each in model.machine.fixtures} | {each.name: each for each in model.measurements}
     batch = max(count, BATCH)
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
-        locked=group.locked, fixture=fixture, touch=group.touch, within_strokes=sigma, batch=batch,
+        locked=group.locked, held=known.get(group.fixture or group.touch), within_strokes=sigma, batch=batch,
         sieve=sieve, give_up=lambda found, tried: tried > 3 * batch and (
             sieve.left_out.drawn * TRIES < tried or found * RARE < sieve.left_out.drawn))
     if len(found) < count and len(found) * RARE < sieve.left_out.drawn:

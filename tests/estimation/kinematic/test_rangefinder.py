@@ -69,7 +69,7 @@ MODEL = KinematicModel(read_machine(TEXT))
 
 def read(count: int = 40) -> tuple[np.ndarray, Poses]:
     """Random postures (N, 3), and what the machine of `TRUTH` reads there."""
-    low, high = postures.limits(MODEL)
+    low, high = MODEL.ranges.T
     q = np.random.default_rng(0).uniform(low, high, (count, 3))
     geometry = np.array([TRUTH[name] for name in MODEL.parameters.names])
     return q, postures.record(MODEL, q, [""] * count, [""] * count, geometry=geometry, seed=None,

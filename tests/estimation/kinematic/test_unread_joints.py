@@ -44,7 +44,7 @@ def drawn(model: KinematicModel, count: int, seed: int) -> np.ndarray:
     every = range(len(model.joints))
     return postures.closed_postures(
         model, count, np.random.default_rng(seed), geometry=model.parameters.nominal, turning=every,
-        within_limits=every, locked={}, fixture=None, batch=1000, give_up=lambda _, tried: tried > 200_000,
+        within_limits=every, locked={}, held=None, batch=1000, give_up=lambda _, tried: tried > 200_000,
         within_strokes=model.parameters.scale)[0]
 
 
