@@ -26,8 +26,8 @@ from hydroopt.spatial.inertia import Array
 USED = 0.9
 """Part of the tightest limit of a joint that a random motion uses."""
 
-PASSES, SETTLED = 200, 1e-3
-"""How often the pressures on seals are found again, until they change by less [Pa]."""
+PASSES, SETTLED = 500, 1e-13
+"""How often the pressures on seals are found again, until they change by less than this part of the largest."""
 
 ROUNDS = 10
 """Times that a body is drawn anew where none of the draws is possible."""
@@ -206,7 +206,7 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
         before = pressure.copy()
         for k, each in sealed.items():
             pressure[:, k] = sum(_chambers(force[:, k], *each.areas, *each.chambers).values())
-        if np.max(np.abs(pressure - before)) <= SETTLED:
+        if np.max(np.abs(pressure - before)) <= SETTLED * np.max(np.abs(pressure)):
             return np.asarray(force)
     raise ProblemError(f"the seals of {', '.join(machine.sealed)} would hold them against any pressure",
                        where="simulation", remedy="keep the seals well below the rod sides' areas")

@@ -81,7 +81,7 @@ def test_seals_that_hold_the_piston_move_nothing() -> None:
     model = Model(crane(coulomb=1.0, seal=1e-4))
     psi = model.parameters.nominal.copy()
     psi[model.parameters.index("lift_cylinder.f_seal")] = 6e-3
-    with pytest.raises(ProblemError, match=r"simulation: the seals of lift_cylinder .*; keep its seal below"):
+    with pytest.raises(ProblemError, match=r"simulation: the seals of lift_cylinder .*; keep the seals well below"):
         simulate(model, random_trajectory(model, duration=5.0, rate=10.0, seed=0), psi)
     k = model.parameters.index("lift_cylinder.f_seal")
     assert model.parameters.upper[k] == machine_area(model)
