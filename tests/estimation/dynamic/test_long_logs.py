@@ -88,7 +88,8 @@ def test_friction_that_is_not_linear_takes_long_logs(
 
     whole = fitted()
     in_pieces(BORDER)
-    assert apart(whole, fitted()) < 1e-4
+    scale = whole.problem.parameters.scale
+    np.testing.assert_allclose(fitted().psi / scale, whole.psi / scale, atol=1e-5)
 
 
 @pytest.mark.slow
