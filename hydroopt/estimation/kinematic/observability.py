@@ -111,7 +111,9 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
     rank, kept_part, unsensed = present.sum(axis=1), present.astype(float), None
     if np.any(moving):
         u, s, v = np.linalg.svd(blind[:, :, moving], full_matrices=False)
-        kept = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
+        # a reading that no unread joint moves has rounding here, beside what parameters do to it
+        largest = np.maximum(s[:, :1], np.linalg.norm(white[:, :, 1:total], axis=(1, 2))[:, None])
+        kept = s > 1e-9 * np.maximum(largest, 1e-300)
         u = u * (kept & (s > 0))[:, None, :]
         inverse = (v.transpose(0, 2, 1) / np.where(s > 0, s, 1.0)[:, None, :]) @ u.transpose(0, 2, 1)
         unsensed = inverse @ white[:, :, : total + n]
