@@ -232,6 +232,7 @@ def test_flags_that_drop_the_checks_do_not_compile(compiler: str, flag: str, fol
     assert not (place / "never.o").exists()
 
 
+@pytest.mark.slow
 def test_exchanged_chambers_show_in_the_residual_alone(libraries) -> None:
     """One sample cannot tell them from a load: the status is OK, and the residual the force of twice the difference."""
     lib = libraries("cat215b", "double", "-O0")

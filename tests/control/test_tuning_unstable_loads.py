@@ -56,6 +56,7 @@ def test_a_load_that_lightens_is_stabilised(upright: tuple[Valves, list[Point], 
     assert closed(0.1) > 0  # which the sensitivity alone does not show
 
 
+@pytest.mark.slow
 def test_fast_loops_yield_to_one_that_finds_no_gains_beside_them() -> None:
     valves, points, plants = manipulator({"upright": ([1.413, -1.292, 0.006], [0.27, 0.412, 0.051]),
                                           "slow": ([0.571, -0.727, 0.876], [-0.035, -0.044, -0.03])})

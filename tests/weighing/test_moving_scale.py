@@ -309,6 +309,7 @@ def test_a_light_load_that_is_dumped_is_not_taken_for_the_empty_machine(machine:
         assert each.mass_std < 20
 
 
+@pytest.mark.slow
 def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
     motion = ho.random_trajectory(machine.model, duration=12.0, rate=50.0, seed=9)
     weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)

@@ -106,7 +106,8 @@ def test_samples_of_a_long_logs_blocks_tell_faults_as_all_samples_do(
     assert few.noise == pytest.approx(every.noise, rel=0.2)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("kr300", 1), ("kr300", 3), ("panda_mukca", 0)])
+@pytest.mark.parametrize(("name", "seed"), [
+    ("kr300", 1), ("kr300", 3), pytest.param("panda_mukca", 0, marks=pytest.mark.slow)])
 def test_forces_without_noise_are_as_uncertain_as_the_motion(name: str, seed: int) -> None:
     """All that is left are errors of smoothed angles, whose covariance is not known to the last digit."""
     arm = Model(load_machine(name))
@@ -133,6 +134,7 @@ def test_spikes_and_pulsation_of_exact_forces_are_found(crane: Model) -> None:
         assert {each.kind for each in found} & {"spikes", "line in the spectrum"} == ({kind} if kind else set())
 
 
+@pytest.mark.slow
 def test_steps_of_valves_are_no_spikes() -> None:
     """Most of a valve test is steps: to interpolate what stands out there would take the motion away."""
     plant = Plant(load_machine("cat215b"))

@@ -49,6 +49,7 @@ def sensed(chain: KinematicModel, poses: Poses) -> Array:
     return np.column_stack([poses.channels[f"{joint}.q"] for joint in chain.joints])
 
 
+@pytest.mark.slow
 def test_a_soft_joint_is_found(machine: Machine, planned: Poses) -> None:
     choice = choose_compliance(machine, measured(machine, planned, COMPLIANCE, 1))
     assert choice.joints == (SOFT,)

@@ -73,7 +73,8 @@ def bounded() -> CalibrationProblem:
 @pytest.mark.parametrize("build", [
     calibrator, pytest.param(lambda: calibrator(priors=False), id="data alone"), survey, bounded,
     pytest.param(lambda: calibrator(wild=0.03).with_loss("huber"), id="huber"),
-    pytest.param(lambda: calibrator(wild=0.03).with_loss("student_t"), id="student_t")])
+    pytest.param(lambda: calibrator(wild=0.03).with_loss("student_t"), id="student_t",
+                 marks=pytest.mark.slow)])
 def test_the_answer_is_that_of_ipopt(build: Callable[[], CalibrationProblem]) -> None:
     problem = build()
     expected, angles = by_ipopt(problem)

@@ -109,6 +109,7 @@ def test_no_other_choice_of_candidate_poses_would_be_much_better() -> None:
     assert done.bound <= largest <= 1.5 * done.bound
 
 
+@pytest.mark.slow
 def test_poses_close_within_all_limits_and_none_is_singular() -> None:
     done = design()
     machine, model = done.machine, done.problem.model

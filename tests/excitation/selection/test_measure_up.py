@@ -52,6 +52,7 @@ def test_the_accuracy_is_that_of_a_calibration_of_the_filled_in_table() -> None:
     assert tip_std(done, done.taken) == pytest.approx(done.tip, rel=0.05)  # another sample of the workspace
 
 
+@pytest.mark.slow
 def test_no_reading_is_superfluous() -> None:
     done = plan()
     by_hand = np.array([each.by_hand for each in done.readings])
@@ -95,6 +96,7 @@ def test_readings_of_a_plan_make_a_sound_calibration(seed: int) -> None:
     assert not answer.suspects
 
 
+@pytest.mark.slow
 def test_a_datum_is_touched_only_where_it_is_read() -> None:
     done = plan(0.01)
     touched = done.taken[:, [each.name for each in done.readings].index("plate.tip")]

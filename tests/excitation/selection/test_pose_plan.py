@@ -331,6 +331,7 @@ def test_problem_prints_itself_and_has_no_program():
             program()
 
 
+@pytest.mark.slow
 def test_readings_of_lengths_identify_pins():
     """Of a machine that nothing holds or tracks, too; without them poses of such a machine identify nothing."""
     machine = load_machine("excavator_bucket")

@@ -91,6 +91,7 @@ def test_a_motions_rows_give_the_expected_accuracy() -> None:
     assert np.sqrt(np.diag(np.linalg.inv(by_base.T @ by_base))) == pytest.approx(told.base, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_answers_count_and_the_rule_stops(tmp_path: Path) -> None:
     log = ho.simulate(LIFT, ho.random_trajectory(LIFT, duration=20, rate=20, seed=5), seed=5)
     ho.solve(ho.identification_problem(LIFT, log)).save(tmp_path / "crane")
