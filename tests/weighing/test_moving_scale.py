@@ -338,6 +338,7 @@ WRONG_FILES = {"all": (1.1, 1.1, 1.1), "boom": (1.0, 1.1, 1.0), "stick": (1.0, 1
 """By what the file's torque per pressure and areas of swing, boom and stick are wrong."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", tiered(WRONG_FILES, lambda wrong: wrong == "boom"))
 def test_a_known_load_corrects_wrong_areas(wrong: str, made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
     """Without it masses are true to the file, and said to be; then the file's error is found and changes nothing."""

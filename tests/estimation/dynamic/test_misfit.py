@@ -278,6 +278,7 @@ def test_white_noise_is_not_faster_than_smoothing_passes(slow: float, quick: flo
     assert all(2.0 < each.hertz < 4.0 for each in found.values())
 
 
+@pytest.mark.slow
 def test_steps_of_valves_are_faster_than_smoothing_passes(excavator: tuple[Model, np.ndarray, Trajectory]) -> None:
     """One actuator after the other, 10 s each: the boom swings on its oil at 3 Hz, where the file states 2 Hz."""
     model, truth, _ = excavator

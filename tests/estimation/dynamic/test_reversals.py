@@ -28,6 +28,7 @@ def subject(request: pytest.FixtureRequest) -> tuple[ho.Model, str, ho.Log]:
     return model, joint, ho.simulate(model, motion, ho.random_truth(model, 0), seed=0)
 
 
+@pytest.mark.slow
 def test_late_positions_are_named_and_sound_ones_are_not(subject: tuple[ho.Model, str, ho.Log]) -> None:
     model, joint, log = subject
     sound = ho.solve(ho.identification_problem(model, [log]))

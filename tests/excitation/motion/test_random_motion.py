@@ -41,6 +41,7 @@ def test_the_best_random_motion_keeps_all_limits_and_no_other_is_better(problem:
     assert np.diff(sorted(others)[:2]) > 0.05
 
 
+@pytest.mark.slow
 def test_a_seed_draws_the_same_motions(problem: ExcitationProblem, best: np.ndarray) -> None:
     assert np.array_equal(best_random_motion(problem, COUNT, seed=3), best)
     assert not np.array_equal(best_random_motion(problem, 2, seed=4), best)

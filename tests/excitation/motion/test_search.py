@@ -96,6 +96,7 @@ def test_value_is_that_of_sums_over_samples(bayesian: bool) -> None:
         assert found == pytest.approx(expected[criterion], rel=1e-5, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_motion() -> None:
     one, other = (design(program(LIFT, SWINGING), starts=5, seed=3) for _ in range(2))
     np.testing.assert_array_equal(one.coefficients, other.coefficients)

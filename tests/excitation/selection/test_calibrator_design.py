@@ -205,6 +205,7 @@ def test_the_cheapest_that_suffices_reaches_what_is_asked_for() -> None:
     assert done.cost <= 3 * 6 + 6  # no more than one link above the fewest with the better sensors
 
 
+@pytest.mark.slow
 def test_the_command_writes_drawing_parts_and_machine(tmp_path: Path) -> None:
     ran = CliRunner().invoke(app, ["design-calibrator", "cat215b", "-n", "3", "--links", "4", "--starts", "1",
                                    "--effort", "0.02", "-o", str(tmp_path)], catch_exceptions=False)

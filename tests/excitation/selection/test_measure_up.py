@@ -78,6 +78,7 @@ def test_the_sheet_names_what_is_read_along() -> None:
     assert "bucket.q, tape.length.\n" in fewest_readings(free, candidates=20).sheet()
 
 
+@pytest.mark.slow
 def test_same_seed_same_plan() -> None:
     again = fewest_readings(measure_up_problem(load_machine(FILE), tip=0.02), candidates=20)
     np.testing.assert_array_equal(again.q, plan().q)
@@ -104,6 +105,7 @@ def test_a_datum_is_touched_only_where_it_is_read() -> None:
     np.testing.assert_array_equal(np.isfinite(done.poses.channels["plate.tip.z"]), touched)
 
 
+@pytest.mark.slow
 def test_the_plan_can_be_saved_loaded_and_read_by_calibrate(tmp_path: Path) -> None:
     ran = CliRunner().invoke(app, ["measure-up", str(FILE), "--tip-std", "10 mm", "-o", str(tmp_path)],
                              catch_exceptions=False)
