@@ -90,19 +90,20 @@ def _fit_by_model(estimate: Estimate) -> list[tuple[str, str, str, list[FitCells
 
 
 def _readings(misfit: Misfit | None) -> list[tuple[str, bool, str, str, str, str]]:
-    """Reading, whether its residuals are not explained, their probability without and with faults, noise, spikes."""
+    """Reading, whether its residuals are not explained, their size over noise, frequency [Hz], noise, spikes."""
     return [] if misfit is None else [
-        (name, name in misfit.alarmed, plain(p, 2), plain(misfit.after[name], 2), plain(misfit.noise[name], 3),
-         percent(misfit.spikes[name])) for name, p in misfit.before.items()]
+        (name, name in misfit.unexplained, plain(ratio, 3), plain(hertz, 2), plain(misfit.noise[name], 3),
+         percent(misfit.spikes[name])) for name, (ratio, hertz) in misfit.excess.items()]
 
 
-def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, bool, str]]:
-    """Faults found: words, size with limits and unit, whether both halves show it, and what is not distinguished."""
+def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, str, str]]:
+    """Hypotheses found: words, size with limits and unit, evidence, and what is not distinguished."""
     rows = []
     for one in misfit.found if misfit else ():
-        size, low, high = (plain(x * one.fault.factor, 3) for x in (one.size, *one.ci95))
-        rows.append((one.fault.words, size, low, high, one.fault.unit, one.repeats,
-                     "; ".join(other.fault.said(other.size)[0] for other in one.tied)))
+        fault = one.hypothesis
+        size, low, high = (plain(x * fault.factor, 3) for x in (one.size, *one.ci95))
+        rows.append((fault.words, size, low, high, fault.unit, plain(one.evidence, 3),
+                     "; ".join(other.hypothesis.sentence(other.amount) for other in one.rivals)))
     return rows
 
 

@@ -39,7 +39,7 @@ def cell(model: Model, kind: str, seed: int, *, intervals: bool = False) -> dict
         estimate = solve(problem, intervals=intervals, seed=1)
         made |= {"status": str(estimate.status), "said": _said(estimate), "error": ""}
         if estimate.misfit:
-            made["left"] = min(estimate.misfit.after.values()) * len(estimate.misfit.after)
+            made["left"] = max(ratio for ratio, _ in estimate.misfit.excess.values())
         if fault:
             made["tellable"] = bool(not fault.fault or fault.si(real) > _smallest(model, seed, fault))
         if intervals:

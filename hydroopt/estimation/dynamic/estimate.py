@@ -17,9 +17,9 @@ from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identification import Identification
 from hydroopt.estimation.dynamic.misfit import diagnostics as misfit_diagnostics
-from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.freed import Freed
 from hydroopt.estimation.dynamic.misfit.naming import Misfit, examine_fit
+from hydroopt.estimation.dynamic.misfit.readings import ForceReadings
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
 from hydroopt.estimation.dynamic.training_logs import contradictions
@@ -70,9 +70,10 @@ class Estimate(Identification, Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
         uncertain = {} if self.problem.beside else misfit_diagnostics.uncertain_geometry(self.problem.model.machine)
-        tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit, uncertain)
+        tested = () if self.misfit is None else misfit_diagnostics.diagnose(
+            self.misfit, self.identifiability.grouping, 1.96 * self.base_std, uncertain)
         # a cause of a misfit may move what friction does at reversals
-        late = () if self.misfit is None or self.misfit.causes else reversals.diagnose(self)
+        late = () if self.misfit is None or self.misfit.found else reversals.diagnose(self)
         more = (*tested, *late, *diagnostics.diagnose(self))
         split = diagnostics.short_stretches(self) if any(each.contradicts for each in more) else ()
         return (*self.of_logs, *split, *more)
@@ -90,7 +91,7 @@ class Estimate(Identification, Answer):
             return None
         try:
             with threadpool_limits(limits=1, user_api="blas"):
-                data = Data(self.problem, self.psi)
+                data = ForceReadings(self.problem, self.psi)
                 return examine_fit(data) if data.blocks else None
         except np.linalg.LinAlgError:
             return None

@@ -145,6 +145,11 @@ class Found(Generic[H]):
         along = self.amount / np.maximum(np.linalg.norm(self.amount), 1e-300)
         return float(np.sqrt(np.maximum(along @ self.covariance @ along, 0.0)))
 
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % interval of the size [SI]."""
+        return self.size - 1.96 * self.std, self.size + 1.96 * self.std
+
     def moves(self, sums: Array, width: Array) -> float:
         """Largest shift of stated sums (m, P) of the nuisances, over the half widths (m,) of their 95 % intervals."""
         return float(np.max(np.abs(sums @ self.shift) / width, initial=0.0))
@@ -219,23 +224,24 @@ class LinearModel(Generic[H]):
     @cached_property
     def fit(self) -> Fit:
         """Most probable nuisances; variances by restricted maximum likelihood, weakly believed to be as stated."""
-        group, groups = self.cells.group, int(np.max(self.cells.group)) + 1
-        count, variance = np.bincount(group, self.cells.rows, groups), np.ones(groups)
+        members = [np.flatnonzero(self.cells.group == g) for g in range(int(np.max(self.cells.group)) + 1)]
+        products, scores, squares, count = (np.array([np.sum(each[own], axis=0) for own in members]) for each in (
+            self.products, self.scores, self.squares, self.cells.rows))
+        variance = np.ones(len(members))
         for _ in range(20):  # steps shrink by half or more; what is left changes no nat
-            weight = 1 / variance[group]
-            information = np.tensordot(weight, self.products, 1) + self.prior
+            weight = 1 / variance
+            information = np.tensordot(weight, products, 1) + self.prior
             scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
             factor = cho_factor(scale[:, None] * information * scale + 1e-12 * np.eye(len(scale)), lower=True)
             covariance = scale[:, None] * cho_solve(factor, np.diag(scale))
-            x = covariance @ (weight @ self.scores + self.pull)
-            left = self.squares - 2 * self.scores @ x + (self.products @ x) @ x
-            squares = np.bincount(group, np.maximum(left, 0.0), groups)
-            taken = np.bincount(group, weight * np.tensordot(self.products, covariance), groups)
-            last, variance = variance, np.maximum((BELIEF + squares) / (BELIEF + np.maximum(count - taken, 0.0)), 1.0)
+            x = covariance @ (weight @ scores + self.pull)
+            left = np.maximum(squares - 2 * scores @ x + (products @ x) @ x, 0.0)
+            taken = weight * np.tensordot(products, covariance)
+            last, variance = variance, np.maximum((BELIEF + left) / (BELIEF + np.maximum(count - taken, 0.0)), 1.0)
             if np.all(np.abs(np.log(variance / last)) < 1e-3):
                 break
         determinant = 2 * float(np.sum(np.log(np.diag(factor[0])) - np.log(scale)))
-        likelihood = -0.5 * float(np.sum((count + BELIEF) * np.log(last) + (squares + BELIEF) / last))
+        likelihood = -0.5 * float(np.sum((count + BELIEF) * np.log(last) + (left + BELIEF) / last))
         evidence = likelihood + self.constant - 0.5 * (float(x @ self.prior @ x - 2 * self.pull @ x) + determinant)
         return Fit(x, covariance, last, evidence)
 

@@ -12,10 +12,9 @@ from fixtures.drives import crane, crossing
 from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
-from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Scaled
-from hydroopt.estimation.dynamic.misfit.listed_faults import listed
+from hydroopt.estimation.dynamic.misfit.hypotheses import Scaled, listed
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.dynamic.misfit.readings import ForceReadings
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.identifiability import structural
@@ -100,10 +99,11 @@ def test_a_grapple_that_swings_is_not_accused_and_its_late_angle_is_named() -> N
         log = simulate(model, random_trajectory(model, duration=33.28, rate=100.0, seed=seed), truth, seed=seed)
         late = replace(log, channels={**log.channels, "sway.q": np.interp(
             log.t - 0.01, log.t, log.channels["sway.q"])})
-        sound, found = (examine_fit(Data(identification_problem(model, [each]), truth)) for each in (log, late))
-        assert not sound.alarmed
-        assert [cause.fault.name for cause in found.causes] == ["delay sway.q"]
-        assert found.causes[0].size == pytest.approx(0.01, abs=0.002)
+        sound, found = (examine_fit(ForceReadings(identification_problem(model, [each]), truth))
+                        for each in (log, late))
+        assert not sound.unexplained
+        assert [cause.hypothesis.name for cause in found.found] == ["delay sway.q"]
+        assert found.found[0].size == pytest.approx(0.01, abs=0.002)
         assert not any(fault.subject in (("swing",), ("sway",)) for fault in sound.smallest if fault.group == "delay")
 
 
@@ -132,5 +132,5 @@ def test_a_pressure_that_reads_too_much_is_named_at_a_shared_joint() -> None:
     assert sound.status == "ok"
     assert found.status == "suspect"
     cause = found.misfit.found[0]
-    assert cause.fault.subject == (channel,)
+    assert cause.hypothesis.subject == (channel,)
     assert abs(cause.size - 0.2) < 3 * cause.std

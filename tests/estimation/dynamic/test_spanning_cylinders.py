@@ -8,7 +8,7 @@ import pytest
 import hydroopt as ho
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.friction_sign import OVERSHOOT, Courses
-from hydroopt.estimation.dynamic.misfit.faults import AngleLate
+from hydroopt.estimation.dynamic.misfit.hypotheses import AngleLate
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.simulation.simulate import Trajectory
 
@@ -45,7 +45,8 @@ def test_a_sample_counts_where_the_cylinder_moves(loader: tuple[Experiment, Spee
 def test_a_fault_has_no_derivative_where_the_cylinder_reverses(loader: tuple[Experiment, Speeds]) -> None:
     made, speed = loader
     view = View.of(made, made.model.parameters.nominal)
-    fault = AngleLate("delay", ("lift.q",), "late", "ms", 0.05, joint=0)
+    fault = AngleLate(name="delay lift.q", group="delay", subject=("lift.q",), words="late", std=(0.05,), linear=False,
+                      joint=0)
     up, down = fault.state(view, fault.scale / 20), fault.state(view, -fault.scale / 20)
     turned = np.sign(speed(*up[:2])) != np.sign(speed(*down[:2]))
     assert np.any(turned & (np.sign(up[1][:, 1]) == np.sign(down[1][:, 1])))

@@ -9,8 +9,8 @@ import pytest
 
 import hydroopt as ho
 from hydroopt.estimation.dynamic.log_check import check_logs
-from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.dynamic.misfit.readings import ForceReadings
 from hydroopt.estimation.motion import misread
 from hydroopt.estimation.motion import sensed as module
 from hydroopt.machine.machine_file import read_machine
@@ -66,8 +66,9 @@ def test_tests_of_fit_know_of_the_uncertain_position(uncertain: tuple[ho.Machine
     problem = ho.identification_problem(arm(stick_exact=False, bodies_within="0.1 %"), [log])
     psi = problem.parameters.nominal
     exact = replace(problem, experiments=tuple(replace(each, position_std=None) for each in problem.experiments))
-    assert [cause.fault.words for cause in examine_fit(Data(exact, psi)).found] == ["stick.q reads too much"]
-    assert not examine_fit(Data(problem, psi)).found
+    (cause,) = examine_fit(ForceReadings(exact, psi)).found
+    assert cause.hypothesis.words == "stick.q reads too much"
+    assert not examine_fit(ForceReadings(problem, psi)).found
 
 
 def test_motion_is_fitted_once_whatever_bodies_and_friction_are(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,48 +5,62 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 
-from hydroopt.estimation.dynamic.misfit.faults import Fault
+import numpy as np
+
 from hydroopt.estimation.dynamic.misfit.freed import Freed
+from hydroopt.estimation.dynamic.misfit.hypotheses import Fault
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
+from hydroopt.estimation.inference.hypotheses import MATERIAL
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.results.diagnostic import Diagnostic, Meaning, listed, probability
+from hydroopt.results.diagnostic import Diagnostic, Meaning, listed
 from hydroopt.results.tables import number
+from hydroopt.spatial.inertia import Array
 
-LARGE = 2.0
-"""Residuals as a multiple of what noise and errors of the motion add, from which on those that are faster than
-smoothing passes are worth a diagnostic, though the slow ones may be by chance."""
 SPIKES, STEPS = 0.003, 0.1
 """Share of spikes among a reading's samples that is worth a diagnostic, and that of any reading from which on they are
 none: residuals are large for whole stretches then, as after steps of valves, and to interpolate would take the motion
 away."""
 
 
-def diagnose(found: Misfit, uncertain: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Diagnostic]:
-    """Causes that may be named, or else readings that nothing listed explains; spikes and lines.
+def diagnose(found: Misfit, sums: Array, width: Array,
+             uncertain: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Iterator[Diagnostic]:
+    """Causes, which contradict where they are material; readings that nothing explains; spikes and lines.
 
     Args:
         found: the test.
+        sums, width: (m, p) sums of the parameters that are stated, and half widths (m,) of their 95 % intervals.
         uncertain: parts whose geometry the machine file leaves uncertain, by the channel to whose offset it is alike.
     """
-    for cause in found.causes:
-        fault = cause.fault
+    for cause in found.found:
+        fault = cause.hypothesis
         words, amount = fault.said(cause.size)
-        tied = [other.fault.said(other.size)[0] for other in cause.tied if other.fault.words != fault.words]
+        rivals = [other.hypothesis for other in cause.rivals]
+        tied = [other.hypothesis.sentence(other.amount) for other in cause.rivals]
+        known = np.isfinite(width) & (width > 0)
+        moved = cause.moves(np.pad(sums[known], ((0, 0), (0, len(cause.shift) - sums.shape[1]))), width[known])
+        material = moved > MATERIAL or not np.any(known)
         yield Diagnostic.of("likeliest cause of the misfit", fault.subject, {
             "cause": words, "fault": fault.name, "amount": amount * fault.factor,
-            "remedy": _remedy(fault) + _alike(uncertain, [fault, *(other.fault for other in cause.tied)]),
+            "remedy": fault.remedy + _alike(uncertain, [fault, *rivals]),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor, "unit": fault.unit,
-            "evidence": cause.evidence, "tied": [other.fault.name for other in cause.tied],
-            "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""},
-            "The likeliest cause of the misfit: {cause}, by {amount:.3g} ± {std:.2g} {unit}{others}. Both halves of "
-            "the data show it alike, and it leaves no misfit.",
-            "{remedy}", Meaning.CONTRADICTION)
-    if not found.causes:
-        yield from _unexplained(found)
+            "evidence": cause.evidence, "moves": number(moved), "tied": [other.name for other in rivals],
+            "others": f"; these data do not tell it from: {listed(list(dict.fromkeys(tied)), 3)}" if tied else "",
+            "moved": "It moves parameters by more than is stated of them" if material else
+                     "Parameters stay within what is stated of them"},
+            "The likeliest cause of the misfit: {cause}, by {amount:.3g} ± {std:.2g} {unit}{others}. {moved}.",
+            "{remedy}", Meaning.CONTRADICTION if material else Meaning.NOTE)
+    if left := found.unexplained:
+        first, *others = left
+        yield Diagnostic.of("lack of fit", tuple(left), {
+            "worst": first, "ratio": left[first][0], "hertz": left[first][1],
+            "others": f"; those of {listed(others)}, too" if others else ""},
+            "The residuals of {worst} are {ratio:.3g} times as large as noise and smoothing explain, mostly at about "
+            "{hertz:.2g} Hz{others}: the model lacks something that no hypothesis names. Intervals and bounds contain "
+            "it.", "See the figure of the residuals.")
     spiked = {name: share for name, share in found.spikes.items() if share > SPIKES}
     # a cause moves the steps of friction, which then look like spikes
-    if not found.causes and 0 < max(spiked.values(), default=0.0) < STEPS:
+    if not found.found and 0 < max(spiked.values(), default=0.0) < STEPS:
         yield Diagnostic.of("spikes", tuple(spiked), {"share": max(spiked.values())}, (
             "Up to {share:.2g %} of the readings of {subject} are far off their neighbours."),
             "Use --treat spike=interpolate or --loss huber.")
@@ -55,41 +69,6 @@ def diagnose(found: Misfit, uncertain: Mapping[str, Sequence[str]] = MappingProx
             "hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit},
             "The residuals of {subject} oscillate at {hz:.3g} Hz with an amplitude of {amplitude:.3g} {unit}.",
             "Look for pulsation of the pump or a vibration of the machine.")
-
-
-def _unexplained(found: Misfit) -> Iterator[Diagnostic]:
-    """Readings whose residuals nothing explains, the least likely first: those faster than smoothing passes apart."""
-    fast = [name for name in found.fast if name in found.alarmed or found.excess[name] > LARGE]
-    for name in sorted(fast, key=lambda name: -found.excess[name]):
-        yield Diagnostic.of("residuals faster than smoothing passes", (name,), {
-            "ratio": found.excess[name], **found.fast[name]._asdict()},
-            "{part:.0f %} of the residuals of {subject}, {ratio:.3g} times as large as noise explains, are faster "
-            "than the {bandwidth:.2g} Hz that smoothing passes, most at {hertz:.2g} Hz: motion that smoothing takes "
-            "away, as after steps of valves, or a fast effect that the model lacks.",
-            "Drive smoother, without steps of the valves; or let faster motion pass (--bandwidth, or bandwidth in the "
-            "machine file) where angles are exact enough.", Meaning.CONTRADICTION)
-    slow = sorted(set(found.alarmed) - set(fast), key=lambda name: (found.before[name], -found.excess[name]))
-    if slow:
-        first, *others = slow
-        yield Diagnostic.of("lack of fit", tuple(slow), {
-            "worst": first, "course": _COURSES[found.follows[first]], "ratio": found.excess[first],
-            "probability": found.before[first], "said": probability(found.before[first]),
-            "others": f"; those of {listed(others)}, too" if others else ""},
-            "The residuals of {worst} {course}, {ratio:.3g} times as large as noise and smoothing explain "
-            "({said}){others}. The model lacks something that is not in the list of faults, or several faults at once.",
-            "Intervals hold only as far as the model does: see the figure of the residuals.", Meaning.CONTRADICTION)
-
-
-_COURSES = {"time": "wander over the log, as where a sensor's errors have a memory",
-            "position": "depend on the position of its joint", "speed": "depend on its speed"}
-"""What residuals do that are not like noise over one of the courses."""
-
-
-def _remedy(fault: Fault) -> str:
-    if not fault.free:
-        return "Correct these bodies in the machine file, or state a larger sigma of their numbers."
-    word = fault.group if fault.subject == ("forces",) else fault.name
-    return f"Correct it in the log or the machine file, or estimate it along: --free '{word}'."
 
 
 def _alike(uncertain: Mapping[str, Sequence[str]], faults: Sequence[Fault]) -> str:

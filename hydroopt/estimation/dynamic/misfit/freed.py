@@ -16,13 +16,12 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import triangle
-from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Fault, one_after_another
-from hydroopt.estimation.dynamic.misfit.listed_faults import listed, stated_size
-from hydroopt.estimation.dynamic.misfit.naming import Search
+from hydroopt.estimation.dynamic.misfit.hypotheses import Fault, listed, one_after_another, stated_size
+from hydroopt.estimation.dynamic.misfit.readings import ForceReadings
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
+from hydroopt.estimation.inference.hypotheses import LinearModel
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -66,15 +65,13 @@ class Freed:
 
         Where a fault and a parameter do nearly the same, only their sum is known.
         """
-        chosen = tuple(zip(self.faults, self.size.tolist(), strict=True))
-        search = Search(Data(problem, psi, chosen), self.faults, chosen)
-        left = search.data.columns([(view.residual - np.sum([f.effect(view, s) for f, s in chosen], axis=0))[:, :, None]
-                                    for view in search.data.views])
-        (held,), _ = search.present()
-        information = np.diag([1 / fault.scale**2 for fault in self.faults])
-        toward = np.sum(held.inner(left), axis=0)[:, 0] - information @ self.size
-        step = np.linalg.solve(np.sum(held.inner(held), axis=0) + information, toward)
-        return replace(self, size=self.size + step)
+        model = ForceReadings(problem, psi).model(_held(self.faults, self.size))
+        x = np.zeros(len(model.prior))
+        x[: len(psi)] = psi - problem.parameters.nominal
+        weight, own = 1 / model.fit.variance[model.cells.group], slice(-len(self.size), None)
+        products = np.tensordot(weight, model.products[:, own], 1) + model.prior[own]
+        return replace(self, size=self.size + np.linalg.solve(
+            products[:, own], weight @ model.scores[:, own] + model.pull[own] - products @ x))
 
     def as_dicts(self) -> list[dict[str, Any]]:
         """The entries of a JSON file; sizes as printed, in the unit of each fault."""
@@ -130,7 +127,7 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
     for word in words:
         if word == "instruments":
             usual = [f for group in UNCERTAIN for f in _of_group(every, group)]
-            found |= dict.fromkeys(f if stated_size(view, f) else replace(f, scale=UNCERTAIN[f.group]) for f in usual)
+            found |= dict.fromkeys(f if stated_size(view, f) else f.scaled(UNCERTAIN[f.group]) for f in usual)
             continue
         some = _of_group(every, word) or [f for f in every if f.name == word]
         if not some:
@@ -138,7 +135,7 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
             raise ProblemError(f"'{word}' is no fault that can be freed", where=f"faults of {view.model.machine.name}",
                                remedy=f"use instruments, {', '.join(groups)}, or one with its subject such as "
                                       f"'{every[-1].name}'")
-        found |= dict.fromkeys(f if stated_size(view, f) else replace(f, scale=WIDE * f.scale) for f in some)
+        found |= dict.fromkeys(f if stated_size(view, f) else f.scaled(WIDE * f.scale) for f in some)
     return tuple(found)
 
 
@@ -150,31 +147,30 @@ def _of_group(every: Sequence[Fault], group: str) -> list[Fault]:
 def free(problem: IdentificationProblem, psi: Array, last: Freed | None = None) -> Freed:
     """The likeliest sizes of a problem's freed faults about parameters ψ, these and the geometry unknown.
 
-    The `last` sizes say at which samples dry friction is known.
+    The `last` sizes are where the search begins.
 
     Raises:
         ProblemError: a fault that does not exist.
     """
-    chosen = () if last is None else tuple(zip(last.faults, last.size.tolist(), strict=True))
-    data = Data(problem, psi, chosen)
-    faults = chosen_faults(data.views[0], problem.freed)
-    search, sizes = Search(data, faults), np.zeros(len(faults)) if last is None else last.size
-    information = np.diag([1 / fault.scale**2 for fault in faults])
-    for _ in range(ROUNDS if any(fault.motion for fault in faults) else 1):
-        faults = one_after_another(faults, sizes.tolist())
-        search.chosen = list(zip(faults, sizes.tolist(), strict=True))
-        step, covariance = _step(search, information, 1.0)
-        sizes = sizes + step
+    data = ForceReadings(problem, psi)
+    plain = chosen_faults(data.views[0], problem.freed)
+    sizes = np.zeros(len(plain)) if last is None else last.size
+    for _ in range(ROUNDS if any(not fault.linear for fault in plain) else 1):
+        found, covariance = _amounts(data.model(_held(plain, sizes)))
+        step, sizes = found - sizes, found
         if np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))):
             break
-    faults = one_after_another(faults, sizes.tolist())
-    search.chosen = list(zip(faults, sizes.tolist(), strict=True))
-    return Freed(faults, sizes, covariance, *_step(search, information, WEAKER), psi)
+    model = data.model(_held(plain, sizes))
+    own = np.where(np.arange(len(model.prior)) < len(model.prior) - len(sizes), np.sqrt(WEAKER), 1.0)
+    apart, alone = _amounts(replace(model, prior=own[:, None] * model.prior * own, pull=own**2 * model.pull))
+    return Freed(one_after_another(plain, sizes.tolist()), sizes, _amounts(model)[1], apart - sizes, alone, psi)
 
 
-def _step(search: Search, information: Array, weaker: float) -> tuple[Array, Array]:
-    """Change of the chosen sizes (k,) to their likeliest ones, and their covariance (k, k)."""
-    table = search.projected(*search.present(), np.ones(len(search.data.blocks), dtype=bool), weaker)
-    covariance = np.asarray(np.linalg.inv(table[:-1, :-1] + information), dtype=float)
-    size = np.array([size for _, size in search.chosen])
-    return np.asarray(covariance @ (table[:-1, -1] - information @ size)), covariance
+def _held(faults: Sequence[Fault], sizes: Array) -> list[tuple[Fault, Array]]:
+    return [(fault, np.array([size])) for fault, size in zip(faults, sizes.tolist(), strict=True)]
+
+
+def _amounts(model: LinearModel[Fault]) -> tuple[Array, Array]:
+    """Likeliest amounts (k,) of all hypotheses that hold, and their covariance (k, k)."""
+    own = slice(len(model.prior) - len(model.about), None)
+    return model.about + model.fit.x[own], model.fit.covariance[own, own]

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_sign import Courses
@@ -33,6 +33,8 @@ UNKNOWN = 0.2
 """Part of what errors of the motion add to a reading that counts as white noise at least: their covariance is itself
 known to about this part, since smoothing in several passes is taken as one of the same bandwidth, and to first order.
 Where a sensor is better than that, or nothing is read, as at a passive joint, these errors are all that is left."""
+REVERSAL = 0.12
+"""Time [s] about a reversal in which friction is neither that before nor that after: seals give before they slip."""
 STEP = 1e-5
 """Step of finite differences as a part of the RMS of a coordinate."""
 
@@ -141,14 +143,45 @@ class View:
         return np.asarray(self.read & (np.abs(off) > SPIKE * np.maximum(size, least)))
 
     @cached_property
-    def of_motion(self) -> Array:
-        """RMS (c,) of what errors of the measured positions add to the readings, after smoothing: one draw of them."""
+    def motion_errors(self) -> Array:
+        """What errors of the measured positions add to the readings (N, c), after smoothing: one draw of them."""
         errors, rng = np.zeros_like(self.predicted), np.random.default_rng(0)
         for joint, std in enumerate(self.angle_noise):
             drawn = self.smoothed(std * rng.standard_normal(len(errors)), joint)
             errors += np.einsum("on,onc->nc", drawn, self.by_motion[:, :, :, joint])
-        used = self.usable
-        return np.asarray(np.sqrt(np.sum(np.where(used, errors, 0.0) ** 2, axis=0) / np.maximum(used.sum(axis=0), 1)))
+        return errors
+
+    @cached_property
+    def of_motion(self) -> Array:
+        """RMS (c,) of `motion_errors`."""
+        squares = np.where(self.usable, self.motion_errors, 0.0) ** 2
+        return np.asarray(np.sqrt(np.sum(squares, axis=0) / np.maximum(self.usable.sum(axis=0), 1)))
+
+    @cached_property
+    def smoothed_away(self) -> Array:
+        """What each joint's smoothing takes from the readings (N, c, n): nearly that which it takes when done again."""
+        made = np.empty((*self.predicted.shape, self.motion.q.shape[1]))
+        for joint in range(made.shape[2]):
+            state = np.stack([self.motion.q[:, joint], self.motion.qd[:, joint], self.motion.qdd[:, joint]])
+            lost = state - self.smoothed(self.motion.q[:, joint], joint)
+            made[:, :, joint] = np.einsum("on,onc->nc", lost, self.by_motion[:, :, :, joint])
+        return made
+
+    @cached_property
+    def reverses(self) -> NDArray[np.bool_]:
+        """Readings (N, c) near a reversal of what their dry friction follows: its course there is in no model."""
+        speed, t = self.courses.speeds(self.motion.q, self.motion.qd), self.motion.t
+        turns = np.zeros(speed.shape, dtype=bool)
+        turns[1:] = np.sign(speed[1:]) != np.sign(speed[:-1])
+        window = 2 * round(REVERSAL / float(np.median(np.diff(t)))) + 1
+        own = self.courses.in_any(maximum_filter1d(turns.astype(np.uint8), window, axis=0).astype(bool))
+        return np.column_stack([own, np.zeros((len(own), len(self.lengths)), dtype=bool)])
+
+    @cached_property
+    def friction(self) -> Array:
+        """Friction of the model at ψ (N, c)."""
+        own = [k for k, kind in enumerate(self.model.parameters.kinds) if kind.is_friction]
+        return np.asarray(self.regressor[:, :, own] @ self.psi[own])
 
     @cached_property
     def taken(self) -> NDArray[np.bool_]:
@@ -181,13 +214,6 @@ class View:
     def spike_share(self) -> Array:
         """Share (c,) of the usable readings that are spikes."""
         return np.asarray(np.sum(self.usable & self.spikes, axis=0) / np.maximum(np.sum(self.usable, axis=0), 1))
-
-    @property
-    def excess(self) -> Array:
-        """RMS (c,) of the residuals that take part, as a multiple of what noise and errors of the motion add."""
-        squares = np.sum(np.where(self.taken, self.residual, 0.0) ** 2, axis=0)
-        expected = np.hypot(self.noise, self.of_motion)
-        return np.asarray(np.sqrt(squares / np.maximum(self.taken.sum(axis=0), 1)) / expected)
 
     @cached_property
     def stated_noise(self) -> Array:
@@ -378,13 +404,6 @@ class View:
         """Samples (odd) that a slow signal is averaged over: a quarter of the smoothing's shortest period."""
         step = float(np.median(np.diff(self.motion.t)))
         return 2 * int(max(2.0, 0.125 / (float(np.max(self.motion.bandwidth)) * step))) + 1
-
-    @cached_property
-    def positions(self) -> Array:
-        """Position (N, c) [m or rad] of the joint that each reading belongs to."""
-        machine = self.model.machine
-        of_lengths = [machine.joints.index(machine.main_joint(machine.cylinders[k])) for k in self.lengths]
-        return np.asarray(self.motion.q[:, [*self.model.dynamics.kept, *of_lengths]])
 
     @cached_property
     def speeds(self) -> Array:

@@ -1,23 +1,26 @@
-"""The faults of instruments and model that residuals are searched for: what each would do to the readings.
+"""Hypotheses about readings of forces and lengths: faults of instruments and what the model lacks, and their words.
 
-A fault of size δ adds `effect(view, δ)` to the predicted readings. `scale` is a usual size: the standard deviation of
-the prior under which evidence for a fault is weighed.
+A hypothesis of amount δ adds `effect(view, δ)` to the predicted readings; its standard deviation is a usual size.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.estimation.inference.hypotheses import Hypothesis
+from hydroopt.logs.forces_from_pressures import force_channels
 from hydroopt.logs.lag import lagged
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.balances import Balance
 from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.parameters.dynamic import owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
@@ -25,8 +28,10 @@ TYPICAL = 0.03
 """Part of the RMS force that a usual friction, gain or drift of a torque has."""
 DRIFT = 3e5
 """Usual drift of a pressure reading over a log [Pa]."""
+LATE = 0.03
+"""Usual delay or lag of a reading [s]."""
 OF_FORCE = ("drift", "friction")
-"""Faults whose usual sizes a machine file states as parts of the RMS force."""
+"""Groups whose usual sizes a machine file states as parts of the RMS force."""
 FRICTION = {"viscous": "speed-dependent (viscous) friction", "quadratic": "friction with the square of the speed",
             "coulomb": "dry (Coulomb) friction", "one way": "friction that differs between the two directions",
             "stribeck": "friction that falls with speed (Stribeck)", "load": "friction that grows with the load",
@@ -37,45 +42,61 @@ KNOWN = {"viscous": ParameterKind.VISCOUS_FRICTION, "coulomb": ParameterKind.COU
 """Kinds of parameters of a model that has such friction."""
 REVERSALS = 4
 """How often the times are found again at which a joint with play reverses."""
+PICKED_UP = np.linspace(0, 1, 13)[1:-1]
+"""Parts of a log after which a load may be picked up or put down."""
 
 
-@dataclass(frozen=True)
-class Fault(ABC):
-    """One fault.
+@dataclass(frozen=True, kw_only=True)
+class Fault(Hypothesis[View]):
+    """One hypothesis, which has one amount.
 
     Attributes:
         group: the word that stands for it and its like in options: ``delay``.
-        subject: channels, actuators or bodies that have it.
-        words: what it is, for sentences; `opposite`: the same where its size is negative.
-        unit: of its size as printed, `factor` times the SI size.
-        scale: usual size in SI.
-        positive: whether its size cannot be negative.
-        motion: whether its effect is not linear in its size.
-        free: whether its size can be estimated along; bodies are parameters with priors of their own.
+        words: what it is, for sentences; `opposite`: the same where its amount is negative.
+        free: whether its amount can be estimated along; bodies are parameters with priors of their own.
     """
 
     group: str
-    subject: tuple[str, ...]
     words: str
-    unit: str
-    scale: float
-    factor: float = 1.0
-    positive: bool = False
-    motion: bool = False
+    opposite: str = ""
     free: bool = True
-    opposite: str = field(default="", kw_only=True)
+
+    @property
+    def scale(self) -> float:
+        """Standard deviation of its amount [SI]."""
+        return self.std[0]
+
+    def scaled(self, std: float) -> Fault:
+        """The same with another standard deviation."""
+        return replace(self, std=(std,))
 
     def said(self, size: float) -> tuple[str, float]:
         """What it is at a size [SI], and the size in the direction of these words."""
         return (self.opposite, -size) if self.opposite and size < 0 else (self.words, size)
 
+    def sentence(self, amount: Array) -> str:
+        """What it says where it holds with this amount (1,)."""
+        return self.said(float(amount[0]))[0]
+
+    @property
+    def remedy(self) -> str:
+        """What to do if it holds."""
+        if not self.free:
+            return "Correct these bodies in the machine file, or state a larger sigma of their numbers."
+        word = self.group if self.subject == ("forces",) else self.name
+        return f"Correct it in the log or the machine file, or estimate it along: --free '{word}'."
+
     @abstractmethod
     def effect(self, view: View, size: float) -> Array:
         """Change of the predicted readings (N, c) by a fault of this size [SI]."""
 
+    def columns(self, data: View, amount: Array) -> Array:
+        """Derivative of the effect by the amount (N, c, 1)."""
+        return self.sensitivity(data, float(amount[0]))[:, :, None]
+
     def sensitivity(self, view: View, at: float = 0.0) -> Array:
         """Derivative of the effect by the size (N, c), steps of dry friction aside."""
-        if not self.motion:
+        if self.linear:
             return self.effect(view, 1.0)
         h = 0.05 * self.scale
         return (self.effect(view, at + h) - self.effect(view, at - h)) / (2 * h)
@@ -88,13 +109,8 @@ class Fault(ABC):
         """Readings (N, c) whose dry friction is not known if a fault of this size is there."""
         return np.zeros(view.predicted.shape, dtype=bool)
 
-    @property
-    def name(self) -> str:
-        """The group and the subject."""
-        return f"{self.group} {', '.join(self.subject)}"
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OfMotion(Fault):
     """A fault for which `readings` (none: all) are those of another motion than the one that the log shows."""
 
@@ -142,7 +158,7 @@ class OfMotion(Fault):
         return made
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ForcesLate(OfMotion):
     """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned.
 
@@ -167,7 +183,7 @@ class ForcesLate(OfMotion):
 
     def sensitivity(self, view: View, at: float = 0.0) -> Array:
         """Derivative of the effect by the size (N, c), which the view keeps for faults of other readings."""
-        alike = replace(self, group="", subject=(), words="", opposite="", readings=())
+        alike = replace(self, name="", group="", subject=(), words="", opposite="", readings=())
         if (alike, at) not in view.kept:
             view.kept[alike, at] = super(ForcesLate, alike).sensitivity(view, at)
         return _only(view.kept[alike, at], self._concerned(view))
@@ -178,7 +194,7 @@ class ForcesLate(OfMotion):
         return found - super().by_parameters(view, 0.0) if self.before else found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AngleLate(OfMotion):
     """The reading of a joint's position is late by the size [s]."""
 
@@ -191,7 +207,7 @@ class AngleLate(OfMotion):
         return view.moved(shift)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Lag(Fault):
     """Readings follow as a first-order system of the size [s] does."""
 
@@ -210,7 +226,7 @@ class Lag(Fault):
         return np.asarray(np.sign(size) * (lagged(motion.t, true, abs(size), motion.segment) - true))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Tilt(Fault):
     """The base is turned by the size [rad] about an axis of the base frame, against gravity as stated."""
 
@@ -230,7 +246,7 @@ class Tilt(Fault):
         return -np.cross(np.eye(3)[self.axis], np.asarray(gravity_in_base(view.model.machine), dtype=float).ravel())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AngleOffset(OfMotion):
     """The reading of a joint's position is too large by the size [rad or m]."""
 
@@ -243,7 +259,7 @@ class AngleOffset(OfMotion):
         return q, view.motion.qd, view.motion.qdd
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Play(OfMotion):
     """Between a joint and the reading of its position there is play of the size [rad or m]."""
 
@@ -273,7 +289,7 @@ class Play(OfMotion):
         return jumps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Added(Fault):
     """Something in proportion to a known course, added to one reading: a drift, a missing friction term."""
 
@@ -306,7 +322,7 @@ class Added(Fault):
         return np.asarray(np.sign(speed) * load / max(float(np.sqrt(np.mean(load**2))), 1e-12))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scaled(Fault):
     """A pressure reads too much, in proportion, whichever readings it is a part of."""
 
@@ -316,7 +332,41 @@ class Scaled(Fault):
         return np.zeros_like(view.predicted) if added is None else np.asarray(size * added)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class Warming(Fault):
+    """The friction of one reading changes over the log by the size, as a part of it."""
+
+    reading: int = 0
+
+    def effect(self, view: View, size: float) -> Array:
+        """What the change does about the middle of the log."""
+        friction = view.friction[:, self.reading, None] * (view.elapsed[:, None] - 0.5)
+        return _placed(view, size * friction, (self.reading,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChamberLate(Fault):
+    """A pressure is late by the size [s] against all other readings."""
+
+    def effect(self, view: View, size: float) -> Array:
+        """What a late pressure misses of its part of the readings."""
+        own = view.contributions.get(self.subject[0])
+        return np.zeros_like(view.predicted) if own is None else -size * np.gradient(own, view.motion.t, axis=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load(Fault):
+    """From a part of the log on, the last body is heavier by the size, as a part of it, in every number."""
+
+    body: str = ""
+    after: float = 0.5
+
+    def effect(self, view: View, size: float) -> Array:
+        """What its nominal numbers do then."""
+        return size * view.of_bodies[self.body] * (view.elapsed > self.after)[:, None]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bodies(Fault):
     """The bodies of some parts are heavier than stated by the size, as a part of it, in every number."""
 
@@ -353,3 +403,149 @@ def one_after_another(faults: Sequence[Fault], sizes: Sequence[float]) -> tuple[
                      if isinstance(other, ForcesLate) and set(other.readings) >= set(own.readings))
     return tuple(replace(fault, before=late(k, fault)) if isinstance(fault, ForcesLate) else fault
                  for k, fault in enumerate(faults))
+
+
+def listed(view: View) -> Iterator[Fault]:
+    """All hypotheses about a log's readings, of the sizes that the machine file states."""
+    forces = range(len(view.model.machine.balances))
+    for fault in _usual(view):
+        stated = stated_size(view, fault)
+        if stated is not None and fault.group in OF_FORCE and isinstance(fault, Added) and fault.reading in forces:
+            stated *= float(np.sqrt(np.mean(view.measured[:, fault.reading] ** 2)))
+        fits = stated is not None and (fault.group not in ("offset", "play") or fault.unit == "deg")
+        yield fault.scaled(stated) if stated is not None and fits else fault
+
+
+def stated_size(view: View, fault: Fault) -> float | None:
+    """The standard deviation [SI] that the machine file states: of a sensor's lag, or of the fault's group."""
+    of_group, machine = view.model.machine.faults.of(fault.group), view.model.machine
+    if not isinstance(fault, Lag):
+        return of_group
+    return max((machine.lag(channel).sigma for channel in force_channels(view.model, view.experiment.log)
+                if fault.subject == ("forces",) or channel.partition(".")[0] in fault.subject), default=0.0) or of_group
+
+
+def _named(group: str, subject: str, words: str) -> dict[str, Any]:
+    return {"name": f"{group} {subject}", "group": group, "subject": (subject,), "words": words}
+
+
+MILLISECONDS: dict[str, Any] = {"unit": "ms", "factor": 1e3, "std": (LATE,), "linear": False}
+PERCENT: dict[str, Any] = {"unit": "%", "factor": 100.0}
+DEGREES = 180 / np.pi
+
+
+def _usual(view: View) -> Iterator[Fault]:
+    machine, n = view.model.machine, len(view.model.machine.balances)
+    read = tuple(np.flatnonzero(view.read[:n]).tolist())  # no transducer of a passive joint can be late
+    clock = MILLISECONDS | {"std": (0.05,)}
+    yield ForcesLate(**_named("delay", "forces", "all force readings are late against the angles"), **MILLISECONDS,
+                     readings=read, opposite="all force readings are early against the angles")
+    yield ForcesLate(**_named("clock", "forces", "the clock of the forces drifts against that of the angles, over the "
+                              "log"), **clock, readings=read, drifts=True)
+    yield Lag(**_named("lag", "forces", "all force readings lag behind"), **MILLISECONDS, positive=True, readings=read)
+    for k in read if len(read) > 1 else ():
+        name = machine.balances[k].name
+        yield ForcesLate(**_named("delay", name, f"the force readings of {name} are late"), **MILLISECONDS,
+                         readings=(k,), opposite=f"the force readings of {name} are early")
+        yield Lag(**_named("lag", name, f"the force readings of {name} lag behind"), **MILLISECONDS, positive=True,
+                  readings=(k,))
+    yield from _of_joints(view)
+    gravity = np.abs(np.asarray(gravity_in_base(machine), dtype=float).ravel())
+    for axis in np.argsort(gravity, kind="stable")[:2].tolist() if np.any(gravity) else ():
+        about = "xyz"[axis]
+        yield Tilt(**_named("tilt", f"base about {about}", f"the base is tilted about its {about} axis"), unit="deg",
+                   std=(np.radians(2.0),), factor=DEGREES, axis=axis)
+    for k in range(n):
+        yield from _of_forces(view, k)
+    for k in range(n, len(view.names)):
+        yield from _of_lengths(view, k)
+    yield from _of_bodies(view)
+
+
+def _of_joints(view: View) -> Iterator[Fault]:
+    machine = view.model.machine
+    for j, joint in enumerate(machine.joints):
+        turns, channel = machine.channel_units[f"{joint}.q"] == "rad", f"{joint}.q"
+        angle = np.radians(1.0) if turns else 0.01
+        units: dict[str, Any] = {"unit": "deg" if turns else "mm", "factor": DEGREES if turns else 1e3, "linear": False}
+        if len(machine.joints) > 1 or view.lengths:
+            yield AngleLate(**_named("delay", channel, f"the readings of {channel} are late"), **MILLISECONDS, joint=j,
+                            opposite=f"the readings of {channel} are early")
+        yield AngleOffset(**_named("offset", channel, f"{channel} reads too much"), **units, std=(angle,), joint=j,
+                          opposite=f"{channel} reads too little")
+        yield Play(**_named("play", channel, f"{joint} has play against its sensor"), **units, std=(0.3 * angle,),
+                   positive=True, joint=j)
+
+
+def _of_forces(view: View, k: int) -> Iterator[Fault]:
+    balance = view.model.machine.balances[k]
+    actuator, name, unit, has = balance.alone, balance.name, balance.unit, set(_kinds_of(view, balance))
+    size = TYPICAL * float(np.sqrt(np.mean(view.measured[:, k] ** 2)))
+    if not balance.actuators:  # nothing is read, and forces that cancel have the size of the largest of them
+        terms = view.regressor[:, k] * view.psi
+        size = TYPICAL * float(np.sqrt(np.max(np.mean(terms**2, axis=0), initial=0.0)))
+        for course in ("viscous", "coulomb"):
+            yield Added(**_named("friction", name, f"{name} has {FRICTION[course]}, which the model lacks"), unit=unit,
+                        std=(size,), course=course, reading=k)
+        return
+    factors = actuator.effort_factors if actuator else {}
+    chambers = [channel for each in balance.actuators for channel in each.effort_factors if channel in view.pressures]
+    for channel in chambers:
+        yield Scaled(**_named("gain", channel, f"{channel} reads too much, or the area stated for it is too large"),
+                     **PERCENT, std=(TYPICAL,),
+                     opposite=f"{channel} reads too little, or the area stated for it is too small")
+        if len(chambers) > 1:
+            yield ChamberLate(**_named("delay", channel, f"the readings of {channel} are late"),
+                              **MILLISECONDS | {"linear": True}, opposite=f"the readings of {channel} are early",
+                              free=False)
+    if not chambers:
+        yield Added(**_named("gain", name, f"the force readings of {name} are too large"), **PERCENT, std=(TYPICAL,),
+                    course="reading", reading=k, opposite=f"the force readings of {name} are too small")
+    drift = max(abs(f) for f in factors.values()) * DRIFT if chambers and factors else size
+    yield Added(**_named("drift", name, f"the force readings of {name} drift over the log"), unit=unit, std=(drift,),
+                course="time", reading=k)
+    if ParameterKind.FORCE_OFFSET not in has:
+        yield Added(**_named("bias", name, f"the force readings of {name} have an offset"), unit=unit, std=(drift,),
+                    course="constant", reading=k)
+    if has & set(KNOWN.values()):
+        yield Warming(**_named("warming", name, f"the friction of {name} grows over the log"), **PERCENT, std=(0.3,),
+                      reading=k, opposite=f"the friction of {name} falls over the log, as where its oil warms",
+                      free=False)
+    sealed = len(chambers) == len(factors) == 2 and isinstance(actuator, Cylinder)
+    for course, words in FRICTION.items():
+        if KNOWN.get(course) not in has and (sealed or course != "seal"):
+            yield Added(**_named("friction", name, f"{name} has {words}, which the model lacks"), unit=unit,
+                        std=(size,), course=course, reading=k)
+
+
+def _kinds_of(view: View, balance: Balance) -> Iterator[ParameterKind]:
+    parameters, owners = view.model.parameters, (balance.joint, *(each.name for each in balance.actuators))
+    for name, kind in zip(parameters.names, parameters.kinds, strict=True):
+        if not kind.is_inertial and parameters.owner(name) in owners:
+            yield kind
+
+
+def _of_lengths(view: View, k: int) -> Iterator[Fault]:
+    name = view.names[k]
+    yield ForcesLate(**_named("delay", name, f"the readings of {name} are late"), **MILLISECONDS, readings=(k,),
+                     opposite=f"the readings of {name} are early")
+    yield Added(**_named("drift", name, f"the readings of {name} drift over the log"), unit="mm", std=(0.01,),
+                factor=1e3, course="time", reading=k)
+
+
+def _of_bodies(view: View) -> Iterator[Fault]:
+    stated = owners_with_confidence(view.model.machine, view.model.bodies)  # what is only assumed cannot be wrong
+    owners = tuple(owner for owner in view.model.parameters.bodies if owner in stated)
+    ends = tuple(owner for owner in owners if "." in owner)
+    links = tuple(owner for owner in owners if "." not in owner)
+    groups = {"all bodies": owners, "all links": links, "all barrels and rods": ends}
+    for words, group in (*groups.items(), *((owner, (owner,)) for owner in owners)):
+        if group == (words,) or (len(group) > 1 and (words == "all bodies" or len(group) < len(owners))):
+            are = "is" if group == (words,) else "are"
+            yield Bodies(**_named("bodies", words, f"{words} {are} heavier than stated"), **PERCENT, std=(1.0,),
+                         free=False, owners=group, opposite=f"{words} {are} lighter than stated")
+    last = next((link for link in reversed(view.model.machine.joints) if link in view.of_bodies), None)
+    for part in PICKED_UP.tolist() if last is not None else ():
+        yield Load(**_named("load", str(last), f"{last} picks up a load after {part:.0%} of the log"), **PERCENT,
+                   std=(0.5,), free=False, body=str(last), after=part,
+                   opposite=f"{last} puts down a load after {part:.0%} of the log")
