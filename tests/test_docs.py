@@ -74,6 +74,9 @@ def exists(dotted: str) -> bool:
 @pytest.mark.parametrize("file", TEXTS, ids=lambda file: str(file.relative_to(ROOT)))
 def test_every_module_that_a_text_names_exists(file: Path) -> None:
     text = file.read_text("utf-8")
+    places = (ROOT, ROOT / "hydroopt", file.parent)
+    paths = re.findall(r"`([\w-]+/[\w/]+\.py)`", text) if file.suffix == ".md" else []
+    assert not {path for path in paths if not any((place / path).exists() for place in places)}
     assert not {path for path in re.findall(r"\bhydroopt/[\w/]+\.\w+", text) if not (ROOT / path).exists()}
     assert not {name for name in re.findall(r"(?<![\w./-])hydroopt(?:\.[A-Za-z_]\w*)+", text)
                 if name not in FILES and not exists(name)}
