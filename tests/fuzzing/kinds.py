@@ -136,7 +136,7 @@ def estimate_of(machine: Machine) -> dict[str, Any]:
     names = Model(machine).parameters.names
     row = {"kind": "mass", "unit": "kg", "nominal": 1.0, "prior_std": None, "value": 2.0, "std": 0.1,
            "ci95": [1.8, 2.2], "bound": None, "identifiability": "full", "information_from_data": 1.0}
-    return {"schema": 2, "job": "identification",
+    return {"schema": 3, "job": "identification",
             "machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256},
             "created": "2026-01-01T00:00:00+00:00", "method": "sdp", "versions": {"hydroopt": "0.1.0"}, "status": "ok",
             "inputs": [{"path": "log.csv", "sha256": "0" * 64, "samples": 40, "first_sample": 1, "last_sample": 40,
