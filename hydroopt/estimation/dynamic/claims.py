@@ -138,15 +138,14 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Claim]:
     truth = np.hypot(np.sqrt(np.maximum(reading**2 - _white(found) ** 2, 0.0)), _of_instruments(found))
     condition = _region(found)
     for k, balance in enumerate(machine.balances):
-        fit = (found.fit.get("validation") or found.fit["train"]).get(balance.name)
-        if fit is None or balance.name not in found.fit["train"]:
-            trained = balance.name in found.fit["train"]
-            yield Claim(Purpose.FORCE, balance.name, Usable.UNTESTED if trained else Usable.NO,
-                      reason=f"no {'held-out' if trained else 'training'} log tells its force")
+        fits = [table[balance.name] for table in found.fit.values() if balance.name in table]
+        if balance.name not in found.fit["train"]:
+            yield Claim(Purpose.FORCE, balance.name, Usable.NO, reason="no training log tells its force")
             continue
-        if not balance.actuators or not np.isfinite(fit.vaf):
+        if not balance.actuators:
             continue
-        variation = fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf
+        variation = max((fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf for fit in fits
+                         if np.isfinite(fit.vaf)), default=np.nan)
         untested = ("the method states no intervals" if spread is None else "" if left is not None and left.tested[k]
                     else "too few parts of the logs can be predicted without them")
         for about, bound in ((About.READING, reading[k]), (About.TRUTH, truth[k])):
@@ -348,14 +347,15 @@ def _control(found: Identification, forces: tuple[Claim, ...]) -> Iterator[Claim
         return
     worst = max((each for each in forces if each.about is About.READING or each.bound is None),
                 key=lambda each: (_SEVERITY.index(each.usable), each.part or 0.0))
-    condition = "feedforward and gravity compensation; valves and oil are not part of it"
+    condition = "feedforward and gravity compensation by the worst actuator; valves and oil are not part of it"
     try:
         calibrated_machine(found)
         broken = ""
     except ProblemError as error:
         broken = f"no machine can have these numbers: {error.what}"
-    yield judged(Purpose.CONTROL, "", np.nan, "", np.nan if worst.part is None else worst.part, condition=condition,
-                 reason=broken or (worst.reason and f"{worst.of}: {worst.reason}") * (worst.usable is Usable.NO),
+    bound, part = (np.nan if each is None else each for each in (worst.bound, worst.part))
+    yield judged(Purpose.CONTROL, worst.of, bound, worst.unit, part, condition=condition, about=worst.about,
+                 reason=broken or worst.reason * (worst.usable is Usable.NO),
                  untested="" if broken or worst.usable is not Usable.UNTESTED else worst.reason)
 
 
