@@ -90,7 +90,7 @@ class ClockMap(BaseModel):
     def _sound(self) -> "ClockMap":
         try:
             Clock.of(self.delay, self.drift)
-            if self.start is not None and not of_texts([self.start], None, "start").dated:
+            if self.start is not None and of_texts([self.start], None, "start").start is None:
                 raise ValueError(f"'{self.start:.40}' has no date")
             if self.t is not None:
                 si_unit("t", self.t.unit or "s")

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.estimation.dynamic.usability import expected_mass
+from hydroopt.estimation.dynamic.claims import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.approach import Approach, approach, start_of
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
@@ -34,7 +34,7 @@ from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -182,13 +182,13 @@ class Excitation(Answer):
                 f"to {100 * float(np.median(sharper)):.2g} % of their standard deviation before; {random}.")
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """That it keeps the limits, and which masses an identification from it will determine."""
         tight = min(self.limits, key=lambda use: use.part, default=None)
         condition = "all limits are kept, with their reserves" + (
             f"; the least room is that of {tight.name}, {percentage(max(tight.part, 0.0))}" if tight else "")
         masses = (expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS)
-        return (Use(Purpose.DRIVING, "", Usable.YES, condition=condition), *masses)
+        return (Claim(Purpose.DRIVING, "", Usable.YES, condition=condition), *masses)
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:

@@ -32,7 +32,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
 
@@ -198,9 +198,9 @@ class MeasureUpPlan(PosePlan):
                 *(channel for each in self.readings if not each.by_hand for channel in each.channels))
 
     @property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well the tip will be known."""
-        return (Use(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
+        return (Claim(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
             f"expected 95 % interval over the workspace after {self._effort}")),)
 
     @property

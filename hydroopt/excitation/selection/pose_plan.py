@@ -30,7 +30,7 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, determined
 from hydroopt.spatial.inertia import Array
 
 
@@ -138,10 +138,10 @@ class PosePlan(Answer):
             for k, name in enumerate(parameters.names)])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Which dimensions a calibration with these poses will determine."""
         without = "" if self.problem.priors else ", without the machine file's confidences (--priors)"
-        return tuple(determined(Purpose.DIMENSIONS, each, condition=f"expected 95 % intervals{without}",
+        return tuple(determined(Purpose.LENGTH, each, condition=f"expected 95 % intervals{without}",
                                 unknown="not determined by these poses")
                      for each in self.parameters.rows if each.identifiability != "fixed")
 

@@ -29,7 +29,7 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Usable, Use
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.files import encoded
 from hydroopt.support.input_file import read_text
@@ -155,13 +155,13 @@ class WhatNext(Answer):
                                    std=float(after[k])) for k, name in enumerate(self.known[0].names)])
 
     @property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How far each goal will be reached."""
         found = []
         for goal, std in zip(self.problem.goals, self.stds[-1].tolist(), strict=True):
             met = std <= goal.target * (1 + 1e-9)
             figure, unit, part = (None, "", NORMAL * std) if goal.unit == "1" else (NORMAL * std, goal.unit, None)
-            found.append(Use(
+            found.append(Claim(
                 goal.purpose, "" if goal.name == goal.purpose else goal.subject, Usable.YES if met else Usable.NO,
                 figure, unit, part,
                 f"expected 95 % interval after {self.spent:.0f} min of measurements",

@@ -199,7 +199,7 @@ class WhatNextProblem(CombinatorialProblem):
                     raise ProblemError(f"'{name}' is no mass", where=name, remedy="name one such as boom.m")
                 row = np.zeros((1, p))
                 row[0, knowledge.geometry + k] = 1.0
-                found.append(Goal(Purpose.MASSES, name, "kg", target, row))
+                found.append(Goal(Purpose.MASS, name, "kg", target, row))
         return tuple(found)
 
     def __repr__(self) -> str:
