@@ -45,9 +45,10 @@ PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
 SMALL_MARGINS, UNSTABLE = "small margins", "loop unstable in a posture"
 """Kinds of diagnostics by which a controller's use is decided."""
 SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 30.0, 0.5
-"""Gain, phase and disk margins below which a loop is reported. A sensitivity of 2 leaves so much: gains are tuned to
-more, on the machine as it is known, so that the true one may differ. Within a disk margin of 0.5 the gain may change by
-a factor of 1.67, or the phase by 28 degrees, or both at once by less."""
+"""Gain margin [dB], phase margin [deg] and disk margin below which a loop is reported. A peak sensitivity of 2 leaves
+6 dB and 2·asin(1/4) = 29 degrees, rounded up to 30; gains are tuned to more, on the machine as it is known, so that the
+true one may differ. Within a disk margin of 0.5 the gain may change by a factor of 1.67, or the phase by 28 degrees, or
+both at once by less."""
 LITTLE_DAMPING = 0.02
 """Damping ratio below which an oscillation of a closed loop is reported."""
 SIGMAS = 2.0
