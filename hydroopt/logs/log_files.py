@@ -171,9 +171,9 @@ def _by_rows(channels: Mapping[str, Array]) -> tuple[list[tuple[NDArray[np.bool_
 
 def _even(rows: NDArray[np.bool_]) -> bool:
     """Whether the rows are few and evenly spread over all."""
-    index = np.flatnonzero(rows)
-    if index.size < 2 or index.size >= SPARSE * rows.size:
+    if not 2 <= np.count_nonzero(rows) < SPARSE * rows.size:
         return False
+    index = np.flatnonzero(rows)
     steps = np.diff(index)
     widest = EVEN * np.median(steps)
     return bool(max(steps.max(), index[0], rows.size - 1 - index[-1]) <= max(widest, 2))

@@ -31,6 +31,7 @@ Texts = NDArray[np.str_]
 HEADER = 2**16
 """Longest header [bytes] of a table of text."""
 _LABELS = ("stage", "fixture", "pose", "tape", "setup")
+_BY_POSE = (*_LABELS, "t", "row", "file")
 
 
 def _no_texts() -> Texts:
@@ -124,11 +125,9 @@ class Poses(Shown):
         """The poses where a mask (N,) is True, or those of the 0-based indices (M,), in that order; may be none."""
         index = np.asarray(which)
         index = np.arange(len(self))[index if index.dtype == bool else index.astype(int)]
-        file = self.file[index]
-        return replace(self, stage=self.stage[index], fixture=self.fixture[index], pose=self.pose[index],
-                       tape=self.tape[index], setup=self.setup[index], t=self.t[index],
-                       channels={name: x[index] for name, x in self.channels.items()},
-                       row=self.row[index], file=file, sha256={p: h for p, h in self.sha256.items() if p in file})
+        kept = {name: getattr(self, name)[index] for name in _BY_POSE}
+        return replace(self, **kept, channels={name: x[index] for name, x in self.channels.items()},
+                       sha256={path: digest for path, digest in self.sha256.items() if path in kept["file"]})
 
     def write(self, path: str | Path) -> None:
         """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
@@ -200,17 +199,10 @@ def joined(parts: Sequence[Poses]) -> Poses:
     names = list(dict.fromkeys(part.name for part in parts))
     return Poses(
         names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more",
-        stage=np.concatenate([part.stage for part in parts]),
-        fixture=np.concatenate([part.fixture for part in parts]),
-        pose=np.concatenate([part.pose for part in parts]),
-        tape=np.concatenate([part.tape for part in parts]),
-        setup=np.concatenate([part.setup for part in parts]),
-        t=np.concatenate([part.t for part in parts]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_POSE},
         channels={name: np.concatenate([part.channels.get(name, np.full(len(part), np.nan)) for part in parts])
                   for name in units},
         units=units,
-        row=np.concatenate([part.row for part in parts]),
-        file=np.concatenate([part.file for part in parts]),
         sha256={path: digest for part in parts for path, digest in part.sha256.items()})
 
 

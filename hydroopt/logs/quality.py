@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -100,7 +101,7 @@ def jitter(t: Array, usual: float) -> Mask:
     return by_steps(t, lambda steps: ((steps < 0.9 * usual) | (steps > 1.1 * usual)) & (steps <= 3.0 * usual))
 
 
-def by_steps(t: Array, judge: Callable[[Array], Mask]) -> Mask:
+def by_steps(t: NDArray[Any], judge: Callable[[NDArray[Any]], Mask]) -> Mask:
     """Which samples (N,) follow a step that is judged so; the first one follows none.
 
     >>> by_steps(np.array([0.0, 1.0, 3.0]), lambda steps: steps > 1).tolist()
