@@ -53,7 +53,6 @@ from .logs.log_files import read_recording as read_recording
 from .logs.poses import Poses as Poses
 from .logs.poses import read_pose_files as read_pose_files
 from .logs.poses import read_poses as read_poses
-from .logs.recording import ChannelGroup as ChannelGroup
 from .logs.recording import Recording as Recording
 from .logs.smoothing import Butterworth as Butterworth
 from .logs.smoothing import Fourier as Fourier

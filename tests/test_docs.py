@@ -3,6 +3,7 @@
 import doctest
 import inspect
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,8 @@ def equations(text: str) -> set[str]:
     return found
 
 
+FILES = {"hydroopt.lock", "hydroopt.toml", "hydroopt.py"}
+"""Names of files, not of modules."""
 CITED = {str(file.relative_to(ROOT / "hydroopt")): equations(file.read_text("utf-8"))
          for file in sorted((ROOT / "hydroopt").rglob("*.py"))}
 ROWS = {row: re.findall(r"`([^`]+)`", files)
@@ -50,6 +53,33 @@ def test_every_cited_equation_is_in_the_map() -> None:
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`([\w/]+\.pyi?)`", DOCUMENT))))
 def test_every_file_exists(path: str) -> None:
     assert (ROOT / "hydroopt" / path).exists() or (ROOT / path).exists()
+
+
+TEXTS = [ROOT / "README.md", *(file for folder in ("docs", "studies") for ending in ("md", "py", "toml")
+                               for file in sorted((ROOT / folder).rglob(f"*.{ending}")))]
+
+
+def exists(dotted: str) -> bool:
+    """Whether a name such as `hydroopt.model.model.Model` is a module, or what a module defines."""
+    parts = dotted.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found = import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        return k == len(parts) or hasattr(found, parts[k])
+    return False
+
+
+@pytest.mark.parametrize("file", TEXTS, ids=lambda file: str(file.relative_to(ROOT)))
+def test_every_module_that_a_text_names_exists(file: Path) -> None:
+    text = file.read_text("utf-8")
+    places = (ROOT, ROOT / "hydroopt", file.parent)
+    paths = re.findall(r"`([\w-]+/[\w/]+\.py)`", text) if file.suffix == ".md" else []
+    assert not {path for path in paths if not any((place / path).exists() for place in places)}
+    assert not {path for path in re.findall(r"\bhydroopt/[\w/]+\.\w+", text) if not (ROOT / path).exists()}
+    assert not {name for name in re.findall(r"(?<![\w./-])hydroopt(?:\.[A-Za-z_]\w*)+", text)
+                if name not in FILES and not exists(name)}
 
 
 def test_it_fits_on_two_screens() -> None:

@@ -24,7 +24,7 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import Trajectory
 
@@ -153,13 +153,13 @@ class MotionCheck(Answer):
                 "read_so": "positions keep to the joints' ranges", "as_read": "they are far beyond them"})
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Whether each motion can be driven."""
         made = []
         for name in self.motions:
             broken = [each.use.name for each in self.table if each.log == name and each.broken]
             short = [each.use.name for each in self.table if each.log == name and each.short]
-            made.append(Use(Purpose.DRIVING, name, Usable.NO if broken or short else Usable.YES,
+            made.append(Claim(Purpose.DRIVING, name, Usable.NO if broken or short else Usable.YES,
                             condition="within what the machine file limits",
                             reason=f"it breaks {', '.join(broken[:3])}" if broken else
                             f"it uses the reserve of {', '.join(short[:3])}" if short else ""))

@@ -20,7 +20,7 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.simulation.pose_table import touches
 from hydroopt.spatial.inertia import Array
 
@@ -92,14 +92,14 @@ class PostureCheck(Answer):
         return ", ".join(f"{each.table} {each.pose}" if several else each.pose for each in poses)
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Whether all poses of each table can be driven to."""
         made = []
         for table in dict.fromkeys(each.table for each in self.poses):
             own = [each for each in self.poses if each.table == table]
             broken, short = sum(bool(each.broken) for each in own), sum(bool(each.short) for each in own)
             unknown = sum(not each.judged for each in own)
-            made.append(Use(
+            made.append(Claim(
                 Purpose.DRIVING_TO, table, Usable.NO if broken or short or unknown else Usable.YES,
                 condition="within what the machine file limits, at rest",
                 reason=f"{broken} of {len(own)} poses break a limit" if broken else

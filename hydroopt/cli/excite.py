@@ -82,6 +82,7 @@ def excite(
     from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.approach import start_of
     from hydroopt.excitation.motion.design import excitation_problem
+    from hydroopt.excitation.motion.excitation import refuse_pace
     from hydroopt.excitation.motion.expected_accuracy import identified
     from hydroopt.logs.log_files import read_log
     from hydroopt.report.excitation import render_sheet
@@ -101,9 +102,7 @@ def excite(
     basis = _basis(duration, pieces, period, harmonics, blend, described.bandwidth)
     resting = _positions(described, rest or (), "--rest")
     pace, standing = to_si(speed, "1", where="--speed"), _positions(described, start or (), "--start")
-    if not 0 < pace <= 1:
-        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
-                           remedy="give more than 0 and at most 100 %, such as '50 %'")
+    refuse_pace(pace)
     start_of(described, standing, np.zeros(len(described.joints)))  # refused before the search
     with run.progress(f"stating limits and information of {described.name}'s motion") as say:
         logs = [read_log(path, mapping=run.map_file) for path in log or ()]

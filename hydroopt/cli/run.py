@@ -1,4 +1,4 @@
-"""A run of a command: what most commands are told, and what they do with it: read, compute, save and print."""
+"""A run of a command: the options that several commands share, and the steps: read, solve, save and print."""
 
 from __future__ import annotations
 
@@ -35,21 +35,22 @@ SHARED: dict[str, Any] = {
     "smoothing_text": options.SmoothingText, "bandwidth": options.Bandwidth, "fix": options.Fixed,
     "reserve": options.Reserve, "seed": options.Seed, "parameter_set": options.ParameterSetName,
     "quiet": options.Quiet, "as_json": options.AsJson}
-"""Options that several commands share, by the attribute of the run that holds them."""
+"""The options that several commands share, by the attribute of `Run` that holds their value."""
 ANSWER = ("output", "quiet", "as_json")
-"""Those of all commands that save an answer."""
+"""Options of every command that saves an answer."""
 LOGS = ("map_file", "treat", "parameter_set")
-"""Those of all commands that read logs."""
+"""Options of every command that reads logs."""
 SMOOTHING = ("smoothing_text", "bandwidth")
+"""Options of every command that smooths logs."""
 
 
 @dataclass
 class Run:
-    """What a command was told by the options in `SHARED`; those that it does not have are as if not given.
+    """The machine and the shared options of one run of a command; an option that the command lacks has its default.
 
     Attributes:
-        named: the machine's name, file or folder.
-        began: when it began, as `time.perf_counter` counts [s].
+        named: name, file or folder of the machine.
+        began: when the run began [s], by `time.perf_counter`.
     """
 
     named: str
@@ -68,7 +69,7 @@ class Run:
 
     @cached_property
     def machine(self) -> Machine:
-        """The machine."""
+        """The machine that was named."""
         from hydroopt.machine.machine_file import load_machine
 
         return load_machine(self.named, parameter_set=self.parameter_set)
@@ -80,15 +81,15 @@ class Run:
 
     @property
     def reserves(self) -> Reserves:
-        """What is kept unused of limits."""
+        """The part of each limit that is kept unused."""
         return options.reserves_of(self.machine, self.reserve or ())
 
     def fixed(self, parameters: ParameterSet) -> dict[str, float]:
-        """Values [SI] at which parameters are held."""
+        """Values [SI] of the parameters that `--fix` holds, by name."""
         return options.parameter_values(self.fix or (), parameters)
 
     def read(self, paths: Sequence[Path] | None) -> list[Log]:
-        """Logs, each with the same map, treatment and pressure limits."""
+        """The logs in these files, all read with the same map, treatment and pressure limits."""
         from hydroopt.logs.log_files import read_log
 
         treatment, limits = options.treatment_of(self.treat), options.reliefs(self.machine)
@@ -96,7 +97,7 @@ class Run:
 
     def parted(self, train: Sequence[Path], validation: Sequence[Path] | None,
                holdout: float) -> tuple[list[Log], list[Log]]:
-        """Training logs without the part of their end that is held out, and validation logs with it."""
+        """Training logs, and validation logs: given ones, and the last part `holdout` of each training log."""
         logs, others = self.read(train), self.read(validation)
         if not holdout:
             return logs, others
@@ -119,7 +120,7 @@ class Run:
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Progress]:
-        """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
+        """Show the current step, the part that is done and the time left, if the error stream is a terminal."""
         if self.quiet or not sys.stderr.isatty():  # rich takes longer to load than many a job
             yield silent
             return
@@ -134,7 +135,7 @@ class Run:
     @contextmanager
     def failure_saved(self, job: Job, method: str,
                       inputs: Callable[[], Sequence[Mapping[str, Any]]] = tuple) -> Iterator[None]:
-        """Save why a solver gave no trustworthy answer, and raise its error again."""
+        """If the solver fails, save the reason in the JSON file of the job before the error is raised again."""
         from hydroopt.results import json_file
 
         try:
@@ -145,7 +146,7 @@ class Run:
 
     def saved(self, answer: SomeAnswer, say: Progress = silent, files: Mapping[str, str | bytes | None] | None = None,
               **how: Any) -> SomeAnswer:
-        """An answer with next steps that continue this command, saved with its page and other files."""
+        """Save an answer with its page and other files; the answer returned has next steps that repeat this command."""
         from hydroopt.results.answer import CommandLine
         from hydroopt.viewing import page_of
 
@@ -156,15 +157,15 @@ class Run:
         return made
 
     def show(self, answer: Answer, text: str = "", *, forced: bool = False) -> None:
-        """Print an answer that was saved: as its JSON file, or its verdict, a text, diagnostics and the report.
+        """Print an answer that was saved: its JSON file, or verdict, text, diagnostics and the name of its page.
 
         Args:
             answer: what was saved.
-            text: instead of the answer's own.
-            forced: whether it may rest on logs that contradict the machine file.
+            text: printed instead of `str(answer)`.
+            forced: accept an answer whose logs contradict the machine file.
 
         Raises:
-            SolverError: a log is misread.
+            SolverError: the logs contradict the machine file.
         """
         from hydroopt.results import json_file
 
@@ -179,7 +180,7 @@ class Run:
 
 
 def print_answer(answer: Answer, text: str = "") -> None:
-    """Print the verdict of an answer, a text instead of its own, and its diagnostics."""
+    """Print the verdict of an answer, its text (or another one), and its diagnostics."""
     from hydroopt.results.diagnostic import summary
     from hydroopt.results.verdict import WIDTH
 
@@ -192,10 +193,10 @@ def print_answer(answer: Answer, text: str = "") -> None:
 
 
 def refuse_refuted(answer: Answer, where: str) -> None:
-    """End a command whose answer was saved and printed, but rests on logs that contradict the machine file.
+    """Refuse an answer, already saved and printed, whose logs contradict the machine file: the exit code is 3.
 
     Raises:
-        SolverError: a log is misread.
+        SolverError: the logs contradict the machine file.
     """
     if answer.refuted:
         raise SolverError("the logs contradict the machine file, so that this answer cannot be trusted", where=where,
@@ -203,11 +204,11 @@ def refuse_refuted(answer: Answer, where: str) -> None:
 
 
 def command(*shared: str, machine: Any = options.MachineName) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A command whose function takes a `Run` first, made of its machine and of options in `SHARED`.
+    """Make a command of a function whose first argument is a `Run`; the function states the command's own options.
 
     Args:
-        shared: names of these options.
-        machine: what names the machine.
+        shared: names in `SHARED` of the shared options that the command takes.
+        machine: type of the argument that names the machine.
     """
     def decorated(function: Callable[..., None]) -> Callable[..., None]:
         defaults = {each.name: each.default for each in inspect.signature(Run).parameters.values()}
@@ -217,8 +218,7 @@ def command(*shared: str, machine: Any = options.MachineName) -> Callable[[Calla
                  for name, kind in SHARED.items() if name in shared]
 
         def run(**values: Any) -> None:
-            told = {name: values.pop(name) for name in shared}
-            function(Run(values.pop("machine"), **told), **values)
+            function(Run(values.pop("machine"), **{name: values.pop(name) for name in shared}), **values)
 
         first = [inspect.Parameter("machine", inspect.Parameter.KEYWORD_ONLY, annotation=machine)]
         first += [each for each in given if each.name == "output"]

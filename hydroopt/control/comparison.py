@@ -36,7 +36,7 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
 
@@ -45,9 +45,10 @@ PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
 SMALL_MARGINS, UNSTABLE = "small margins", "loop unstable in a posture"
 """Kinds of diagnostics by which a controller's use is decided."""
 SMALL_DB, SMALL_DEG, SMALL_DISK = 6.0, 30.0, 0.5
-"""Gain, phase and disk margins below which a loop is reported. A sensitivity of 2 leaves so much: gains are tuned to
-more, on the machine as it is known, so that the true one may differ. Within a disk margin of 0.5 the gain may change by
-a factor of 1.67, or the phase by 28 degrees, or both at once by less."""
+"""Gain margin [dB], phase margin [deg] and disk margin below which a loop is reported. A peak sensitivity of 2 leaves
+6 dB and 2·asin(1/4) = 29 degrees, rounded up to 30; gains are tuned to more, on the machine as it is known, so that the
+true one may differ. Within a disk margin of 0.5 the gain may change by a factor of 1.67, or the phase by 28 degrees, or
+both at once by less."""
 LITTLE_DAMPING = 0.02
 """Damping ratio below which an oscillation of a closed loop is reported."""
 SIGMAS = 2.0
@@ -230,7 +231,7 @@ class Comparison(Answer):
                         "With {subject} the valve of {valve} is fully open {part:.0f %} of the time.")
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Whether the best controller follows the motion with sound margins."""
         best = self.winner
         weak = [each for each in of_kind(self.diagnostics, SMALL_MARGINS, UNSTABLE)
@@ -238,14 +239,14 @@ class Comparison(Answer):
         condition = f"RMS of the tip on this motion, simulated; truth: {self.setting.true.text}"
         reason = best.run.stopped or (weak[0].text.rstrip(".") if weak else "")
         figure = None if best.run.stopped else best.tip_rms
-        return (Use(Purpose.CONTROL, best.name, Usable.NO if reason else Usable.YES, figure, "m",
+        return (Claim(Purpose.CONTROL, best.name, Usable.NO if reason else Usable.YES, figure, "m",
                     condition=condition, reason=reason),)
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What to do with the best controller, or for one that can be used."""
         best = self.winner
-        if self.uses[0].usable is Usable.YES:
+        if self.claims[0].usable is Usable.YES:
             return () if self.feedforward is None else (NextStep(
                 Action.USE, "Build and test the feedforward in C, and begin at a tenth of the speed:",
                 f"make -C {self.command_line.path('c')} check"),)

@@ -39,8 +39,10 @@ from hydroopt.parameters.hydraulic import parameter_set
 from hydroopt.simulation.simulate import BACK_PRESSURE
 from hydroopt.spatial.inertia import Array
 
-VARIES = 1e-9
-"""Change of a distance [m] from which on it varies."""
+ROUNDING = 1e-9
+"""Change of a value, as a part of a limit's scale or in m, that counts as rounding."""
+TIGHT = 0.02
+"""Part of a limit's scale within which it leaves no room."""
 WATCHED = 0.5
 """Distance [m] beyond their reserve within which the machine's own parts are watched."""
 MARGIN, POSTURES = 3.0, 200
@@ -319,7 +321,7 @@ class Limits:
                 return None
             away = distance_to_point(part._replace(start=(part.start + part.end) / 2), centre)
             drawn, = drawn_distances(self.model, [away])
-        return away if drawn.size and np.ptp(drawn) > VARIES else None
+        return away if drawn.size and np.ptp(drawn) > ROUNDING else None
 
     def _tipping(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
@@ -447,4 +449,4 @@ def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
 def _varies(value: ca.SX, q: ca.SX) -> bool:
     """Whether a value changes with q."""
     at = ca.Function("value", [q], [value]).map(2)(np.random.default_rng(0).uniform(-1, 1, (q.size1(), 2)))
-    return not np.ptp(np.asarray(at)) < VARIES
+    return not np.ptp(np.asarray(at)) < ROUNDING

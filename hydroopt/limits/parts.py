@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from hydroopt.limits.uncertain import TINY
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.model.model import Model
@@ -18,8 +19,6 @@ CLOSE, OFTEN, POSTURES = 0.1, 0.25, 400
 """Parts that are nearer than this [m] in more than this part of so many random postures are built close."""
 VARIES = 1e-6
 """Change of a distance [m] over these postures from which on it varies."""
-ROUNDING = 1e-12
-"""Square of a length [m²] that keeps distances and quotients differentiable where lines meet or have no length."""
 
 
 class Part(NamedTuple):
@@ -131,16 +130,16 @@ def _linkage(machine: Machine, loop: Loop) -> Iterator[str]:
 def distance_to_point(part: Part, point: ca.SX) -> ca.SX:
     """Distance [m] of a part's line from a point (3,)."""
     along = part.end - part.start
-    share = _share(ca.dot(point - part.start, along) / (ca.sumsqr(along) + ROUNDING))
+    share = _share(ca.dot(point - part.start, along) / (ca.sumsqr(along) + TINY))
     return _length(part.start + share * along - point)
 
 
 def distance(one: Part, other: Part) -> ca.SX:
     """Distance [m] between the lines of two parts (Ericson, Real-Time Collision Detection, 5.1.9)."""
     first, second, between = one.end - one.start, other.end - other.start, one.start - other.start
-    a, e, b = ca.sumsqr(first) + ROUNDING, ca.sumsqr(second) + ROUNDING, ca.dot(first, second)
+    a, e, b = ca.sumsqr(first) + TINY, ca.sumsqr(second) + TINY, ca.dot(first, second)
     c, f = ca.dot(first, between), ca.dot(second, between)
-    s = _share((b * f - c * e) / (a * e - b * b + ROUNDING))
+    s = _share((b * f - c * e) / (a * e - b * b + TINY))
     t = _share((b * s + f) / e)
     s = _share((b * t - c) / a)
     return _length(between + s * first - t * second)
@@ -152,4 +151,4 @@ def _share(value: ca.SX) -> ca.SX:
 
 
 def _length(vector: ca.SX) -> ca.SX:
-    return ca.sqrt(ca.sumsqr(vector) + ROUNDING)
+    return ca.sqrt(ca.sumsqr(vector) + TINY)

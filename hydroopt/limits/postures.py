@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.limits.limits import Limits
+from hydroopt.limits.limits import ROUNDING, Limits
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.survey import TIP
@@ -24,8 +24,6 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
-ROUNDING = 1e-9
-"""Part of a limit's scale that counts as rounding."""
 FINE = 0.02
 """Distance of the postures at which a move is looked at, as a part of the joints' ranges."""
 NAMED = 4

@@ -14,7 +14,8 @@ from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 TINY = 1e-12
-"""Variance [N², (N·m)²] that keeps standard deviations differentiable where nothing is uncertain."""
+"""Square, of a length [m²] or a standard deviation [N², (N·m)², rad²], that keeps its root and quotients differentiable
+where it vanishes."""
 
 
 class UncertainParameters(NamedTuple):

@@ -22,6 +22,20 @@ ROWS = 15
 """Values that people watch at most."""
 IN_PRINT = {"rad": ("deg", 180 / np.pi, 1), "m": ("mm", 1e3, 0)}
 """Units of a sheet and of the table that is filled in by it: name, what SI is multiplied by, and decimals."""
+READING = "Read only while the machine rests and its controls are locked; nobody stands below a raised part."
+"""What holds beside `Watch.rules` where somebody walks to the machine to read."""
+
+
+def in_print(value: float, unit: str) -> tuple[str, str]:
+    """A value [SI] and its unit as sheets have them.
+
+    >>> in_print(-0.0002, "m"), in_print(0.5, "rad"), in_print(9.80665, "m/s^2")
+    (('0', 'mm'), ('28.6', 'deg'), ('9.807', 'm/s^2'))
+    """
+    if unit not in IN_PRINT:
+        return f"{value:.4g}", unit
+    name, factor, decimals = IN_PRINT[unit]
+    return f"{round(factor * value, decimals) + 0.0:.{decimals}f}", name
 
 
 @dataclass(frozen=True)
@@ -107,7 +121,12 @@ class Watch:
     @property
     def list(self) -> str:
         """The rules as plain text."""
-        return "\n".join(fill(rule, 100, initial_indent="- ", subsequent_indent="  ") for rule in self.rules)
+        return _listed(self.rules)
+
+    def sheet(self, about: str, *lines: str) -> str:
+        """A measuring sheet as plain text: what it is about, what people keep, what to do, and when to stop."""
+        stops = ("", "Stop at once beyond these values.", self.table) if self.stops else ()
+        return "\n".join([about, "", _listed((*self.rules, READING)), "", *lines, *stops]) + "\n"
 
     @property
     def table(self) -> str:
@@ -118,6 +137,10 @@ class Watch:
         return "\n".join([fill(self.order, 100), "", *(
             "  " + "  ".join(f"{cell:<{width}}" for cell, width in zip(row, wide, strict=True)).rstrip()
             for row in rows)])
+
+
+def _listed(rules: Iterable[str]) -> str:
+    return "\n".join(fill(rule, 100, initial_indent="- ", subsequent_indent="  ") for rule in rules)
 
 
 def watch(model: Model, planned: Reach, uses: Iterable[UseOfLimit], reserves: Reserves, *,
@@ -205,18 +228,13 @@ def _extent(model: Model) -> ca.Function:
 
 def _stop(model: Model, use: UseOfLimit) -> StopValue:
     """How a sheet shows the use of a limit."""
-    unit, factor, decimals = IN_PRINT[use.unit]
-
-    def text(value: float) -> str:
-        return f"{round(factor * value, decimals) + 0.0:.{decimals}f}"
-
-    name = use.name
+    name, unit = use.name, IN_PRINT[use.unit][0]
     if name.endswith(" position"):
         joint = name.removesuffix(" position")
         along = model.machine.moved_along(joint)
         name = f"{joint} (with {', '.join(along)}) position" if along else name
-    planned = [text(value) for value, bound in ((use.lowest, use.lower), (use.highest, use.upper))
+    planned = [in_print(value, use.unit)[0] for value, bound in ((use.lowest, use.lower), (use.highest, use.upper))
                if np.isfinite(bound)]
-    stop = [f"{word} {text(value)}" for word, value in zip(("below", "above"), use.stop, strict=True)
+    stop = [f"{word} {in_print(value, use.unit)[0]}" for word, value in zip(("below", "above"), use.stop, strict=True)
             if np.isfinite(value)]
     return StopValue(name, unit, " to ".join(planned), ", ".join(stop))

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hydroopt.errors import LogError
 from hydroopt.units import to_si
 
@@ -36,6 +39,14 @@ class Clock:
             UnitError: a unit is of another kind.
         """
         return cls(*_measured(delay, "s", "delay"), *_measured(drift, "1", "drift"))
+
+    def corrected(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """When happened what is stamped so [s].
+
+        >>> Clock(0.02).corrected(np.array([0.02, 1.02])).tolist()
+        [0.0, 1.0]
+        """
+        return (stamps - self.delay) / (1 + self.drift)
 
 
 def _measured(text: str, si: str, key: str) -> tuple[float, float]:

@@ -26,15 +26,19 @@ KINDS = ("csv", "parquet", "mat", "hdf5", "npz", "xlsx", "tdms", "mdf", "bags")
 """Kinds of files, as a map may state them."""
 
 
-class ColumnMap(BaseModel):
+class Stated(BaseModel):
+    """A table of a map, in which no other key may stand."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
+
+
+class ColumnMap(Stated):
     """Where one channel stands in a file: value = factor × (column − minus) [unit] + offset.
 
     The offset alone is a value that holds throughout the file, such as the slope that the machine stood on. `group` is
     the sheet, topic or file in which the column stands, where several have one of that name, or a clock of the map. A
     time `t` of dates needs no unit.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     column: Key | None = None
     minus: Key | None = None
@@ -73,13 +77,11 @@ class ColumnMap(BaseModel):
         return 0.0 if self.offset is None else to_si(self.offset, si, where=where)
 
 
-class ClockMap(BaseModel):
+class ClockMap(Stated):
     """The clock of a group: its own column of times, where it has one, and what its stamps lack.
 
     `start` is the moment of t = 0 of times without a date; `delay` and `drift` are as `Clock` has them.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     t: ColumnMap | None = None
     start: str | None = None
@@ -90,7 +92,7 @@ class ClockMap(BaseModel):
     def _sound(self) -> "ClockMap":
         try:
             Clock.of(self.delay, self.drift)
-            if self.start is not None and not of_texts([self.start], None, "start").dated:
+            if self.start is not None and of_texts([self.start], None, "start").start is None:
                 raise ValueError(f"'{self.start:.40}' has no date")
             if self.t is not None:
                 si_unit("t", self.t.unit or "s")
@@ -99,10 +101,8 @@ class ClockMap(BaseModel):
         return self
 
 
-class TextColumn(BaseModel):
+class TextColumn(Stated):
     """A text column of a file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     column: Key
 
@@ -124,10 +124,8 @@ def _label(value: object) -> object:
 Label = Annotated[str | TextColumn, BeforeValidator(_label)]
 
 
-class Labels(BaseModel):
+class Labels(Stated):
     """Texts that tell poses apart: constant, with {folder} and {file} of the file's path, or from a column."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     stage: Label = ""
     fixture: Label = ""
@@ -136,7 +134,7 @@ class Labels(BaseModel):
     setup: Label = ""
 
 
-class Layout(BaseModel):
+class Layout(Stated):
     """The layout of a table of text. What is not stated is decided from the lines of the file, once, when it is opened.
 
     Attributes:
@@ -150,8 +148,6 @@ class Layout(BaseModel):
         encoding: of the text, as Python calls it.
         dates: whether dates such as 03/04/2026 state the day or the month first.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     header: bool | None = None
     skip: Annotated[int, Field(ge=0)] | None = None

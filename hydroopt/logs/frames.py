@@ -1,4 +1,4 @@
-"""pandas DataFrames and Arrow tables as tables of columns, and back: a user's own data and SI arrays."""
+"""pandas DataFrames and Arrow tables as sheets of columns, and back: a user's own data and SI arrays."""
 
 from __future__ import annotations
 
@@ -6,71 +6,82 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
-from hydroopt.logs.column_headers import map_of_header, parts_of
-from hydroopt.logs.column_map import Labels, LogMap, TextColumn
-from hydroopt.logs.stamps import of_column, of_datetimes
-from hydroopt.logs.table import Array, Table, in_si
+from hydroopt.logs.column_headers import parts_of
+from hydroopt.logs.column_map import Key
+from hydroopt.logs.formats.sheet import Sheet
+from hydroopt.logs.stamps import of_column
+from hydroopt.logs.table import RawKey, Table
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
 
-
-def columns_of_frame(frame: pd.DataFrame | pa.Table, units: Mapping[str, str] | None, where: str, *,
-                     poses: bool = False) -> tuple[Table, LogMap, tuple[str, ...], dict[str, Array], dict[str, str]]:
-    """Raw table, layout, columns left out, values (N,) in SI with the time ``t``, and the SI unit of each channel.
+class FrameSheet(Sheet):
+    """The columns of a DataFrame or an Arrow table.
 
     Args:
         frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`. The time is a column ``t``, in
             a unit or as datetimes or timedeltas, or an index of datetimes or timedeltas.
         units: unit of columns without one in their name.
         where: what errors call the frame.
-        poses: whether it is a table of poses.
 
     Raises:
-        LogError: a column has no unit, two units or no numbers; the time is missing or stated twice.
+        LogError: a column has no unit or two, or the time is stated twice.
     """
-    import pandas as pd  # noqa: PLC0415 (import cost)
 
-    if type(frame).__module__.partition(".")[0] == "pyarrow" and hasattr(frame, "to_pandas"):
-        frame = frame.to_pandas()
-    if not isinstance(frame, pd.DataFrame):
-        raise LogError(f"this is a {type(frame).__name__}, not a pandas DataFrame or Arrow table", where=where,
-                       remedy="give a DataFrame with columns such as 'boom.q [deg]'")
-    if not len(frame):
-        raise LogError("the frame has no rows", where=where, remedy="give at least one")
-    names = [str(name).strip() for name in frame.columns]
-    series = [frame.iloc[:, k] for k in range(len(names))]
-    moments = _moments(frame.index)
-    if moments is not None:
-        if any(parts_of(name)[0] == "t" for name in names):
-            raise LogError("the time is stated both in a column and in the index", where=where,
-                           remedy="remove one, for example with frame.reset_index(drop=True)")
-        names, series = ["t", *names], [moments, *series]
-    stated, header = dict(units or {}), []
-    for k, name in enumerate(names):
-        if (moment := _moments(series[k])) is not None:
-            series[k] = moment
-            header.append(f"{parts_of(name)[0]} [s]")
-        else:
-            header.append(_header(name, stated.pop(name, None), where, poses=poses))
-    if stated:
-        raise LogError(f"units are stated for {', '.join(map(repr, stated))}, but there is no such column", where=where,
-                       remedy=f"correct the names; the columns are {', '.join(names[:20])}")
-    layout, ignored = map_of_header(header, where, poses=poses)
-    raw = {k: _numbers(series[k], names[k], where) for k in map(int, layout.keys)}  # type: ignore[arg-type]
-    texts = {label.column: ["" if pd.isna(cell) else str(cell) for cell in series[int(label.column)]]
-             for _, label in (layout.labels or Labels()) if isinstance(label, TextColumn)}
-    epoch = None
-    if "t" in layout.columns and isinstance(column := series[int(layout.columns["t"].keys[0])], pd.Series):  # type: ignore[arg-type]
-        epoch = of_column(column.to_numpy())
-    table = Table(dict(raw), np.arange(1, len(frame) + 1), texts=texts, stamps=epoch)  # type: ignore[arg-type]
-    values, si = in_si(layout, table, where)
-    return table, layout, ignored, values, si
+    def __init__(self, frame: pd.DataFrame | pa.Table, units: Mapping[str, str] | None, where: str) -> None:
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        if type(frame).__module__.partition(".")[0] == "pyarrow" and hasattr(frame, "to_pandas"):
+            frame = frame.to_pandas()
+        if not isinstance(frame, pd.DataFrame):
+            raise LogError(f"this is a {type(frame).__name__}, not a pandas DataFrame or Arrow table", where=where,
+                           remedy="give a DataFrame with columns such as 'boom.q [deg]'")
+        if not len(frame):
+            raise LogError("the frame has no rows", where=where, remedy="give at least one")
+        names = [str(name).strip() for name in frame.columns]
+        self._series = [frame.iloc[:, k] for k in range(len(names))]
+        if _are_moments(frame.index):
+            if any(parts_of(name)[0] == "t" for name in names):
+                raise LogError("the time is stated both in a column and in the index", where=where,
+                               remedy="remove one, for example with frame.reset_index(drop=True)")
+            names, self._series = ["t", *names], [frame.index.to_series(), *self._series]
+        stated = dict(units or {})
+        header = [f"{parts_of(name)[0]} [s]" if _are_moments(series) else _header(name, stated.pop(name, None), where)
+                  for name, series in zip(names, self._series, strict=True)]
+        if stated:
+            raise LogError(f"units are stated for {', '.join(map(repr, stated))}, but there is no such column",
+                           where=where, remedy=f"correct the names; the columns are {', '.join(names[:20])}")
+        super().__init__(where, header)
+
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
+        """The columns `keys` as numbers, missing ones NaN, and the columns `texts` as texts."""
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        columns = {key: self._values(self.column(key)) for key in keys}
+        made = of_column(columns[time]) if time is not None else None
+        if made is not None and time is not None:
+            columns[time] = made.seconds()
+        return Table(columns, np.arange(1, len(self._series[0]) + 1), stamps=made, texts={
+            key: ["" if pd.isna(cell) else str(cell) for cell in self._series[self.column(key)]] for key in texts})
+
+    def _values(self, index: int) -> NDArray[Any]:
+        """Values (N,) of a column, missing ones NaN, or moments in UTC."""
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        series = self._series[index]
+        if _are_moments(series):
+            return np.asarray(series.dt.tz_convert(None) if isinstance(series.dtype, pd.DatetimeTZDtype) else series)
+        if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
+            raise LogError(f"column '{self.header[index]}' holds {series.dtype}, not numbers", where=self.where,
+                           remedy="convert it, for example with pandas.to_numeric")
+        whole = series.dtype.kind in "iu" and not series.hasnans
+        return np.asarray(series) if whole else np.asarray(series.to_numpy(dtype=float, na_value=np.nan))
 
 
 def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:
@@ -95,7 +106,7 @@ def all_of(given: Any, kinds: tuple[type, ...], noun: str, where: str) -> tuple[
     return items
 
 
-def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
+def _header(name: str, unit: str | None, where: str) -> str:
     """The header `name [unit]` of a column; labels and columns that are no channels have no unit."""
     if name != parts_of(name)[0]:
         if unit is not None:
@@ -108,28 +119,6 @@ def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
     return name if unit is None else f"{name} [{unit}]"
 
 
-def _numbers(series: Any, name: str, where: str) -> Array:
-    """Values (N,) of a column, missing ones NaN."""
-    import pandas as pd  # noqa: PLC0415 (import cost)
-
-    if isinstance(series, np.ndarray):
-        return series
-    if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
-        raise LogError(f"column '{name}' holds {series.dtype}, not numbers", where=where,
-                       remedy="convert it, for example with pandas.to_numeric")
-    return np.asarray(series.to_numpy(dtype=float, na_value=np.nan))
-
-
-def _moments(values: Any) -> Array | None:
-    """Seconds (N,) of datetimes, from the first on, or of timedeltas; None of anything else. Missing ones are NaN."""
-    import pandas as pd  # noqa: PLC0415 (import cost)
-
-    if isinstance(values, np.ndarray):
-        return values
-    dtype = values.dtype
-    if isinstance(dtype, pd.DatetimeTZDtype):
-        values = values.tz_convert("UTC").tz_localize(None) if isinstance(values, pd.Index) else (
-            values.dt.tz_convert("UTC").dt.tz_localize(None))
-    elif getattr(dtype, "kind", "") not in "mM":
-        return None
-    return of_datetimes(values.to_numpy()).seconds()
+def _are_moments(values: pd.Series | pd.Index) -> bool:
+    """Whether these are datetimes or timedeltas."""
+    return getattr(values.dtype, "kind", "") in ("m", "M")

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
 from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
-from hydroopt.logs.column_headers import map_of_header
-from hydroopt.logs.column_map import LogMap, for_log, read_map
-from hydroopt.logs.frames import columns_of_frame, frame_of_columns
-from hydroopt.logs.mapped import MAPPED, at, extremes, release
+from hydroopt.logs.column_map import LogMap, read_map
+from hydroopt.logs.frames import FrameSheet, frame_of_columns
+from hydroopt.logs.mapped import MAPPED, at, by_pieces, extremes, release
 from hydroopt.logs.quality import Finding
+from hydroopt.logs.sheets import parts_without_map
 from hydroopt.logs.spline import MIN_SAMPLES
-from hydroopt.logs.stamps import of_datetimes
-from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
-from hydroopt.logs.treatment import PIECE, Samples, choose, treat
+from hydroopt.logs.stamps import Stamps
+from hydroopt.logs.table import encoded_columns, frozen, write_columns
+from hydroopt.logs.treatment import PIECE, Samples, choose, numbered, treat
 from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.support.notebook_card import Card, Shown
 
@@ -85,13 +85,15 @@ class Log(Shown):
         if given.dtype.kind not in "fiumM":
             raise LogError(f"the time holds {given.dtype}, not seconds", where=where,
                            remedy="give seconds, or datetime64, of which the first one is t = 0")
-        t = frozen(of_datetimes(given).seconds() if given.dtype.kind in "mM" else given, float)
-        if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
+        t = frozen(Stamps(given).seconds() if given.dtype.kind in "mM" else given, float)
+        if t.ndim != 1 or t.size < 2 or find.by_steps(t, lambda steps: ~(steps > 0)).any():
             raise LogError("times do not increase over two or more samples", where=where,
                            remedy="correct the time stamps or choose a longer stretch")
         channels = {name: frozen(x, float) for name, x in self.channels.items()}
-        sample = frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
-        segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t, find.usual_step(t))), int)
+        sample = frozen(self.sample if np.size(self.sample) else by_pieces(
+            t.size, lambda span: np.arange(span.start + 1, span.stop + 1), int), int)
+        segment = frozen(self.segment if np.size(self.segment) else numbered(
+            np.flatnonzero(find.gaps(t, find.usual_step(t))), t.size), int)
         for name, x in {"sample": sample, "segment": segment, **channels}.items():
             if x.shape != t.shape:
                 raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,
@@ -123,6 +125,11 @@ class Log(Shown):
     def rows(self) -> tuple[int, int]:
         """First and last data row in the file."""
         return int(self.sample[0]), int(self.sample[-1])
+
+    @property
+    def step(self) -> float:
+        """The median step [s]."""
+        return find.usual_step(self.t)
 
     @property
     def duration(self) -> float:
@@ -268,93 +275,15 @@ class Log(Shown):
         >>> log.t.tolist(), log.units["boom.q"], round(float(log.channels["boom.q"][1]), 6)
         ([0.0, 0.02, 0.04], 'rad', 0.349066)
         """
-        table, layout, ignored, values, si = columns_of_frame(frame, units, name)
-        full_layout(layout, [], name)
-        t = values.pop("t")
-        refuse_damage_of(table, t, name)
-        log = treated_log(name, t, values, table.rows, choose(treatment), limits or {}, si)
-        notes = left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
-        return replace(log, findings=log.findings + notes)
+        (part,) = parts_without_map([FrameSheet(frame, units, name)], name)
+        read = part.read()
+        samples, segment = treat(Samples(read.t, read.values, read.rows), choose(treatment), limits or {}, name)
+        return cls(name, samples.t, samples.channels, samples.sample, segment, samples.findings + read.notes,
+                   units=read.units)
 
     def _columns(self) -> dict[str, Array]:
         headers = (f"{name} [{self.units[name]}]" for name in self.channels)
         return {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
-
-
-def treated_log(where: str, t: Array, channels: Mapping[str, Array], sample: NDArray[np.int64],
-                treatment: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
-                units: Mapping[str, str]) -> Log:
-    """The log of times (N,), channels (N,) and data rows (N,), after checks and treatments.
-
-    Raises:
-        LogError: there is only one row, or a kind of finding was found whose action is "error".
-    """
-    if sample.size < 2:
-        raise LogError("there is only one data row", where=where, remedy="record at least two samples")
-    samples, segment = treat(Samples(t, dict(channels), sample), treatment, limits, where)
-    return Log(where, samples.t, samples.channels, samples.sample, segment, samples.findings, units=units)
-
-
-def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | None:
-    """The map of a log that a caller stated, if any."""
-    return None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap) else read_map(mapping)
-
-
-def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
-    """The map stated, or else what a header says, and the columns that this leaves out.
-
-    Raises:
-        LogError: there is no time or no channel.
-    """
-    ignored: tuple[str, ...] = ()
-    if layout is None:
-        layout, ignored = map_of_header(list(header), where)
-        refuse_idle(layout, where, mapped=False)
-    refuse_idle(layout, where, mapped=True)
-    if "t" not in layout.columns:
-        raise LogError("channel 't' is missing", where=where, remedy="map the column of the time")
-    return layout, ignored
-
-
-def refuse_idle(layout: LogMap, where: str, *, mapped: bool) -> None:
-    """Refuse a log none of whose columns is a channel, by its header or by a map that was stated.
-
-    Raises:
-        LogError: there is none.
-    """
-    if layout.columns.keys() - {"t"}:
-        return
-    if mapped:
-        raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
-                       "which unit, and remove the # before it")
-    raise LogError("there is no channel", where=where, remedy="name columns like 'boom.q [deg]' or "
-                   "'boom_cylinder.p_head [bar]', or state a map: 'hydroopt map' proposes one")
-
-
-def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) -> tuple[Finding, ...]:
-    """What of a file's rows and columns was not read."""
-    notes: tuple[Finding, ...] = ()
-    if layout.rows:
-        a, b = layout.rows
-        notes += (Finding("rows", "t", a, b, b - a + 1, f"only data rows {a} to {b} were read"),)
-    if ignored:
-        text = f"columns that are not channels left out: {', '.join(ignored)}"
-        notes += (Finding("ignored", "", first, last, 0, text),)
-    return notes
-
-
-def refuse_damage_of(table: Table, t: Array, where: str) -> None:
-    """Refuse rows that are cut or hold garbage; then also name those whose time is astray.
-
-    Raises:
-        LogError: names the rows and the longest sound stretch.
-    """
-    if not table.damage:
-        return
-    damage, sound = dict(table.damage), np.isfinite(t)
-    for row in table.rows[sound][find.out_of_order(t[sound])]:
-        damage.setdefault(int(row), "time out of order")
-    refuse_damage(replace(table, damage=damage), where)
 
 
 def missing(name: str, present: Iterable[str], where: str) -> LogError:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import LogMap
-from hydroopt.logs.formats.files import Source, open_files, stem
-from hydroopt.logs.log import Log, given_layout, left_out, refuse_damage_of, treated_log
-from hydroopt.logs.partial_columns import Partial, partial_columns
+from hydroopt.logs.column_map import LogMap, for_log, read_map
+from hydroopt.logs.formats.files import open_files, stem
+from hydroopt.logs.log import Log
+from hydroopt.logs.mapped import release
 from hydroopt.logs.quality import Finding
-from hydroopt.logs.recording import ChannelGroup, Recording
+from hydroopt.logs.recording import Recording
 from hydroopt.logs.sheets import Part, parts_of_map, parts_without_map
-from hydroopt.logs.stamps import of_texts
-from hydroopt.logs.table import in_si, stamps_of
-from hydroopt.logs.treatment import choose
+from hydroopt.logs.table import Array
+from hydroopt.logs.treatment import Samples, choose, treat
+
+SPARSE = 0.9
+"""Share of the rows with a number below which a column may count as sampled more slowly."""
+EVEN = 4.0
+"""Largest distance between rows with a number, in median distances, of such a column."""
 
 
 def read_log(
@@ -85,7 +89,7 @@ def read_recording(
     ...     _ = can.write_text("t [s],boom_cylinder.p_head [bar]\\n0,100\\n0.04,101\\n")
     ...     recording = read_recording([joints, can])
     >>> recording.groups
-    (ChannelGroup('joints': 3 samples, 50 Hz, 1 channel), ChannelGroup('can': 2 samples, 25 Hz, 1 channel))
+    (Log('joints': 3 samples, 0.04 s, 1 channel), Log('can': 2 samples, 0.04 s, 1 channel))
     >>> recording.log().channels["boom_cylinder.p_head"].tolist()
     [10000000.0, 10050000.0, 10100000.0]
     """
@@ -93,79 +97,90 @@ def read_recording(
     if not files:
         raise LogError("there is no file", where="recording", remedy="give at least one")
     where, chosen = ", ".join(files), choose(treatment)
-    stated = given_layout(mapping, where)
-    with open_files(files, stated) as source:
-        parts = (parts_without_map(source.sheets, where) if stated is None
-                 else parts_of_map(stated, source.sheets, where))
-        groups: list[tuple[ChannelGroup, np.datetime64 | None]] = []
-        findings: list[Finding] = []
+    stated = (None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap)
+              else read_map(mapping))
+    groups: list[tuple[Log, np.datetime64 | None]] = []
+    findings: list[Finding] = []
+    with open_files(files, stated) as (sheets, digest):
+        parts = parts_without_map(sheets, where) if stated is None else parts_of_map(stated, sheets, where)
         for part in parts:
-            for group, start, found in _groups(part, chosen, limits or {}, split=chosen["nan"] == "use"):
+            for group, start, found in _groups(part, chosen, limits or {}):
                 groups.append((group, start))
                 findings += found
-        digest = _digest(source)
     aligned, start = _aligned(groups, where)
     if start is None and len({part.where for part in parts}) > 1:
         rows = (int(aligned[0].sample[0]), int(aligned[0].sample[-1]))
         findings.append(Finding("clock", "t", *rows, 0, "the times of the groups have no date: one zero is assumed"))
-    clocks = {part.name: part.clock for part in parts}
-    return Recording(stem(files[0]), aligned, start, tuple(dict.fromkeys(findings)), where, digest, clocks)
+    return Recording(stem(files[0]), aligned, start, tuple(dict.fromkeys(findings)), where, digest,
+                     {part.name: part.clock for part in parts})
 
 
-def _digest(source: Source) -> str:
-    if len(source.digests) == 1:
-        return source.digests[0]
-    return sha256("".join(source.digests).encode()).hexdigest()
-
-
-def _groups(part: Part, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]], *,
-            split: bool) -> list[tuple[ChannelGroup, np.datetime64 | None, tuple[Finding, ...]]]:
+def _groups(part: Part, chosen: Mapping[str, str],
+            limits: Mapping[str, tuple[float, float]]) -> list[tuple[Log, np.datetime64 | None, tuple[Finding, ...]]]:
     """The group of channels of a part of a file, or the groups of its columns that hold numbers in some rows."""
-    where, layout = part.where, part.layout
-    table = part.sheet.read(layout.keys, time=part.time)
-    values, units = in_si(layout, table, where)
-    made = stamps_of(layout, table)
-    t = values.pop("t") if "t" in values else made.seconds() if made is not None else np.full(table.rows.size, np.nan)
-    refuse_damage_of(table, t, where)
-    if table.rows.size < 2:
-        raise LogError("there is only one data row", where=where, remedy="record at least two samples")
-    rows = (int(table.rows[0]), int(table.rows[-1]))
-    notes = left_out(layout, part.ignored, *rows)
-    notes += tuple(Finding(kind, "t" if kind == "clock" else "", *rows, 0, text) for kind, text in (
-        ("format", part.sheet.shown and f"the file was read with {part.sheet.shown}"),
-        ("clock", made.shown if made is not None else "")) if text)
-    start = made.start if made is not None else None
-    if part.start:
-        start = of_texts([part.start], None, where).start
+    read, where = part.read(), part.where
+    t, values, rows, notes = read.t, read.values, read.rows, list(read.notes)
     used = np.isfinite(t) | np.logical_or.reduce([np.isfinite(x) for x in values.values()]) if part.padded else None
-    found = partial_columns(values) if split else Partial(tuple(values), (), ())
-    if not found.full and not found.sparse:
-        found = Partial(tuple(values), (), ())
-    pieces = [*([(None, found.full)] if found.full else []), *found.sparse]
+    pieces, empty = _by_rows(values) if chosen["nan"] == "use" else ([(None, [*values])], [])
+    if empty:
+        text = f"{', '.join(empty)}: no number in any row; left out"
+        notes.append(Finding("empty", empty[0], int(rows[0]), int(rows[-1]), rows.size, text))
     out = []
     for k, (mask, names) in enumerate(pieces):
         keep = mask if used is None else used if mask is None else mask & used
-        name = part.name if k == 0 else f"{part.name} {names[0]}".strip()
-        sample = table.rows if keep is None else table.rows[keep]
-        log = treated_log(where, t if keep is None else t[keep],
-                          {n: values[n] if keep is None else values[n][keep] for n in names}, sample, chosen, limits,
-                          {n: units[n] for n in names})
-        said = log.findings + (notes if k == 0 else ())
+        found = Samples(t, {name: values[name] for name in names}, rows)
+        found = found if keep is None else found.keep(keep)
+        sample = found.sample
+        samples, segment = treat(found, chosen, limits, where)
+        said = [*samples.findings, *(notes if k == 0 else ())]
         if mask is not None:
-            said += (Finding("sparse", names[0], int(sample[0]), int(sample[-1]), int(sample.size),
-                             f"{', '.join(names)} hold{'s' * (len(names) == 1)} numbers in {sample.size} of "
-                             f"{table.rows.size} rows: a group of channels with stamps of its own"),)
-        group = ChannelGroup(name, log.t, log.channels, log.units, log.sample, log.segment)
-        out.append((group, start, said))
-    if found.empty:
-        text = f"{', '.join(found.empty)}: no number in any row; left out"
-        group, start, said = out[0]
-        out[0] = group, start, (*said, Finding("empty", found.empty[0], *rows, table.rows.size, text))
+            said.append(Finding("sparse", names[0], int(sample[0]), int(sample[-1]), int(sample.size),
+                                f"{', '.join(names)} hold{'s' * (len(names) == 1)} numbers in {sample.size} of "
+                                f"{rows.size} rows: a group of channels with stamps of its own"))
+        name = part.name if k == 0 else f"{part.name} {names[0]}".strip()
+        log = Log(name, samples.t, samples.channels, samples.sample, segment, (), where,
+                  units={name: read.units[name] for name in names})
+        out.append((log, read.start, tuple(said)))
     return out
 
 
-def _aligned(groups: Sequence[tuple[ChannelGroup, np.datetime64 | None]],
-             where: str) -> tuple[tuple[ChannelGroup, ...], np.datetime64 | None]:
+def _by_rows(channels: Mapping[str, Array]) -> tuple[list[tuple[NDArray[np.bool_] | None, list[str]]], list[str]]:
+    """The names of channels (N,) by the rows in which they hold numbers, None of nearly all or of uneven ones, which
+    are defects; and the names of those without a number. Where none has one, all are as if they had.
+
+    >>> nan = np.nan
+    >>> found, empty = _by_rows({"a.q": np.arange(8.0), "a.u": np.array([1, nan] * 4), "b.q": np.full(8, nan)})
+    >>> [names for _, names in found], empty
+    ([['a.q'], ['a.u']], ['b.q'])
+    """
+    full, empty = list[str](), list[str]()
+    sparse: dict[bytes, tuple[NDArray[np.bool_] | None, list[str]]] = {}
+    for name, x in channels.items():
+        rows = np.isfinite(x)
+        release()
+        if not rows.any():
+            empty.append(name)
+        elif np.any(np.isinf(x)) or not _even(rows):
+            full.append(name)
+        else:
+            sparse.setdefault(np.packbits(rows).tobytes(), (rows, []))[1].append(name)
+    if not full and not sparse:
+        return [(None, empty)], []
+    return [*([(None, full)] if full else []), *sparse.values()], empty
+
+
+def _even(rows: NDArray[np.bool_]) -> bool:
+    """Whether the rows are few and evenly spread over all."""
+    if not 2 <= np.count_nonzero(rows) < SPARSE * rows.size:
+        return False
+    index = np.flatnonzero(rows)
+    steps = np.diff(index)
+    widest = EVEN * np.median(steps)
+    return bool(max(steps.max(), index[0], rows.size - 1 - index[-1]) <= max(widest, 2))
+
+
+def _aligned(groups: Sequence[tuple[Log, np.datetime64 | None]],
+             where: str) -> tuple[tuple[Log, ...], np.datetime64 | None]:
     """Groups with one zero of time, and its moment, if they have dates.
 
     Raises:

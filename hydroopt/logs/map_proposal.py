@@ -16,7 +16,7 @@ from hydroopt.errors import HydrooptError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_words import ChannelNames, Naming
 from hydroopt.logs.formats.files import open_files
-from hydroopt.logs.sheets import Sheet
+from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.stamps import DateOrderError
 from hydroopt.logs.table import Array, NoNumbersError
 from hydroopt.logs.unit_words import of_kind
@@ -164,7 +164,7 @@ class MapProposal:
         return " or ".join([*names[:MOST], *([f"{len(names) - MOST} more"] if len(names) > MOST else [])]) + "?"
 
     def _line(self, key: str, each: Proposal) -> str:
-        alone = each.column.sheet.content.header.count(each.column.header) == 1
+        alone = each.column.sheet.header.count(each.column.header) == 1
         column = json.dumps(each.column.header, ensure_ascii=False) if alone else str(each.column.index)
         parts = [f"column = {column}", *([f'unit = "{each.unit}"'] if each.unit else [])]
         if self.several and each.channel != "t":
@@ -188,12 +188,12 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
     model = recent_model(machine)
     names = ChannelNames(wanted, _upright(model))
-    with open_files([str(path)], None) as source:
-        columns = [column for sheet in source.sheets for column in _columns(sheet, names)]
-        own = all(sheet.content.own_stamps for sheet in source.sheets)
-        several = len(source.sheets) > 1
-        layout, unnamed = _layout(source.sheets), max(sheet.content.unnamed for sheet in source.sheets)
-        times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
+    with open_files([str(path)], None) as (sheets, _):
+        columns = [column for sheet in sheets for column in _columns(sheet, names)]
+        own = all(sheet.own_stamps for sheet in sheets)
+        several = len(sheets) > 1
+        layout, unnamed = _layout(sheets), max(sheet.unnamed for sheet in sheets)
+        times = [] if own else [each for sheet in sheets if not sheet.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
     found = _by_triangles(model, {**_by_number(machine, rest), **_by_name(machine, names, rest, times)})
@@ -227,7 +227,7 @@ def _stated_unit(si: str, columns: Iterable[ColumnOf]) -> str:
 
 def _layout(sheets: Sequence[Sheet]) -> dict[str, str | int | bool]:
     """What the layouts of all tables of text have in common, but what is the same in nearly all files."""
-    layouts = [layout.model_dump(exclude_none=True) for sheet in sheets if (layout := sheet.content.layout) is not None]
+    layouts = [layout.model_dump(exclude_none=True) for sheet in sheets if (layout := sheet.layout) is not None]
     usual = {"comment": "", "quote": '"', "thousands": "", "footer": 0}
     return {key: value for key, value in (layouts[0] if layouts else {}).items()
             if usual.get(key) != value and all(each.get(key) == value for each in layouts)}
@@ -258,9 +258,9 @@ def _key(channel: str) -> str:
 
 def _columns(sheet: Sheet, names: ChannelNames) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
-    for index, header in enumerate(sheet.content.header or map("column {}".format, range(sheet.content.unnamed))):
+    for index, header in enumerate(sheet.header or map("column {}".format, range(sheet.unnamed))):
         try:
-            table = sheet.content.read([index], time=index)
+            table = sheet.read([index], time=index)
         except DateOrderError:
             yield ColumnOf(sheet, index, header, names.naming(header, sheet.name), np.arange(2.0), dated=True,
                            ordered=False)

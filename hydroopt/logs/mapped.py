@@ -5,7 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 from weakref import WeakSet
 
@@ -47,15 +47,24 @@ def empty(shape: int | Sequence[int], dtype: DTypeLike = float) -> NDArray[Any]:
     return np.ndarray(shape, kind, made)
 
 
-def stored(x: NDArray[Any]) -> NDArray[Any]:
-    """An array itself, or where it is long a copy in a file, which cannot be written to."""
-    if x.size < MAPPED or isinstance(x.base, mmap.mmap):
-        return x
-    made = empty(x.shape, x.dtype)
-    made[:] = x
+def by_pieces(size: int, part: Callable[[slice], NDArray[Any]], kind: DTypeLike = float) -> NDArray[Any]:
+    """An array (N,) that cannot be written to, of which so much is made at a time as lies in memory.
+
+    >>> by_pieces(4, lambda span: np.arange(span.start, span.stop), int).tolist()
+    [0, 1, 2, 3]
+    """
+    made = empty(size, kind)
+    for start in range(0, size, MAPPED // 8):
+        span = slice(start, min(start + MAPPED // 8, size))
+        made[span] = part(span)
+        release()
     made.setflags(write=False)
-    release()
     return made
+
+
+def stored(x: NDArray[Any]) -> NDArray[Any]:
+    """An array (N,) itself, or where it is long a copy in a file, which cannot be written to."""
+    return x if x.size < MAPPED or isinstance(x.base, mmap.mmap) else by_pieces(x.size, x.__getitem__, x.dtype)
 
 
 def at(x: NDArray[Any], places: NDArray[Any]) -> NDArray[Any]:

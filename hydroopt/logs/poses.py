@@ -16,8 +16,9 @@ from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
-from hydroopt.logs.frames import columns_of_frame, frame_of_columns
-from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, refuse_damage, write_columns
+from hydroopt.logs.formats.sheet import Sheet
+from hydroopt.logs.frames import FrameSheet, frame_of_columns
+from hydroopt.logs.table import encoded_columns, frozen, in_si, refuse_damage, write_columns
 from hydroopt.support.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ Texts = NDArray[np.str_]
 HEADER = 2**16
 """Longest header [bytes] of a table of text."""
 _LABELS = ("stage", "fixture", "pose", "tape", "setup")
+_BY_POSE = (*_LABELS, "t", "row", "file")
 
 
 def _no_texts() -> Texts:
@@ -123,11 +125,9 @@ class Poses(Shown):
         """The poses where a mask (N,) is True, or those of the 0-based indices (M,), in that order; may be none."""
         index = np.asarray(which)
         index = np.arange(len(self))[index if index.dtype == bool else index.astype(int)]
-        file = self.file[index]
-        return replace(self, stage=self.stage[index], fixture=self.fixture[index], pose=self.pose[index],
-                       tape=self.tape[index], setup=self.setup[index], t=self.t[index],
-                       channels={name: x[index] for name, x in self.channels.items()},
-                       row=self.row[index], file=file, sha256={p: h for p, h in self.sha256.items() if p in file})
+        kept = {name: getattr(self, name)[index] for name in _BY_POSE}
+        return replace(self, **kept, channels={name: x[index] for name, x in self.channels.items()},
+                       sha256={path: digest for path, digest in self.sha256.items() if path in kept["file"]})
 
     def write(self, path: str | Path) -> None:
         """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
@@ -173,10 +173,7 @@ class Poses(Shown):
         >>> len(poses), poses.stage.tolist(), poses.units["boom.q"]
         (2, ['low', 'low'], 'rad')
         """
-        table, layout, _, values, si = columns_of_frame(frame, units, name, poses=True)
-        refuse_damage(table, name)
-        stage, fixture, pose, tape, setup = _labels(layout, table, {})
-        return cls(name, stage, fixture, pose, tape, setup, t=values.pop("t", np.empty(0)), channels=values, units=si)
+        return _of_sheet(FrameSheet(frame, units, name), None, name, {}, "", {})
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         more = {name: texts for name, texts in (("tape", self.tape), ("setup", self.setup)) if np.any(texts != "")}
@@ -202,17 +199,10 @@ def joined(parts: Sequence[Poses]) -> Poses:
     names = list(dict.fromkeys(part.name for part in parts))
     return Poses(
         names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more",
-        stage=np.concatenate([part.stage for part in parts]),
-        fixture=np.concatenate([part.fixture for part in parts]),
-        pose=np.concatenate([part.pose for part in parts]),
-        tape=np.concatenate([part.tape for part in parts]),
-        setup=np.concatenate([part.setup for part in parts]),
-        t=np.concatenate([part.t for part in parts]),
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _BY_POSE},
         channels={name: np.concatenate([part.channels.get(name, np.full(len(part), np.nan)) for part in parts])
                   for name in units},
         units=units,
-        row=np.concatenate([part.row for part in parts]),
-        file=np.concatenate([part.file for part in parts]),
         sha256={path: digest for part in parts for path, digest in part.sha256.items()})
 
 
@@ -224,8 +214,8 @@ def is_pose_table(path: str | Path) -> bool:
         if line.isascii() and b"\0" not in line:
             names = {parts_of(cell.strip(' "\r\n'))[0] for cell in re.split("[,;\t]", line.decode())}
         else:
-            with open_files([str(path)], None) as source:
-                names = {parts_of(cell)[0] for cell in source.sheets[0].content.header}
+            with open_files([str(path)], None) as (sheets, _):
+                names = {parts_of(cell)[0] for cell in sheets[0].header}
     except (OSError, LogError):
         return False
     return "t" not in names and bool(names & {"stage", "fixture", "pose"})
@@ -254,24 +244,29 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
     if (true_kind(path, layout) or "").startswith("mat"):
         raise LogError("a .mat file has no columns of text", where=where, remedy="export it as .csv or .parquet")
-    with open_files([where], layout) as source:
-        if len(source.sheets) > 1:
-            raise LogError(f"there are {len(source.sheets)} sheets or files", where=where,
+    with open_files([where], layout) as (sheets, digest):
+        if len(sheets) > 1:
+            raise LogError(f"there are {len(sheets)} sheets or files", where=where,
                            remedy="save the table of poses alone")
-        file, (digest,) = source.sheets[0].content, source.digests
-        if layout is None:
-            layout, _ = map_of_header(file.header, where, poses=True)
-        labels = [label for _, label in layout.labels or Labels()]
-        table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
-    values, units = in_si(layout, table, where)
-    refuse_damage(table, where)
+        words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}
+        return _of_sheet(sheets[0], layout, Path(path).stem, words, where, {where: digest})
+
+
+def _of_sheet(sheet: Sheet, layout: LogMap | None, name: str, words: Mapping[str, str], file: str,
+              sha256: Mapping[str, str]) -> Poses:
+    """The poses of a sheet by its header or a map, whose labels may hold `words` of the file's path."""
+    layout = map_of_header(sheet.header, sheet.where, poses=True)[0] if layout is None else layout
+    labels = dict(layout.labels or Labels())
+    table = sheet.read(layout.keys, [label.column for label in labels.values() if isinstance(label, TextColumn)])
+    values, units = in_si(layout, table, sheet.where)
+    refuse_damage(table, sheet.where)
     if not units:
-        raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
-    words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}
-    size = table.rows.size
-    stage, fixture, pose, tape, setup = _labels(layout, table, words)
-    return Poses(Path(path).stem, stage, fixture, pose, tape, setup, t=values.pop("t", np.full(size, np.nan)),
-                 channels=values, units=units, row=table.rows, file=np.full(size, where), sha256={where: digest})
+        raise LogError("there is no channel", where=sheet.where,
+                       remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
+    texts = {key: table.texts[label.column] if isinstance(label, TextColumn) else [label.format(**words)]
+             * table.rows.size for key, label in labels.items()}
+    return Poses(name, **{key: np.array(some) for key, some in texts.items()}, t=values.pop("t", np.empty(0)),
+                 channels=values, units=units, row=table.rows, file=np.full(table.rows.size, file), sha256=sha256)
 
 
 def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path | None = None) -> Poses:
@@ -296,12 +291,6 @@ def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path
             raise LogError("this file is named twice", where=str(path), remedy="name it once")
         read.add(real)
     return joined([read_poses(path, mapping=layout) for path in paths])
-
-
-def _labels(layout: LogMap, table: Table, words: Mapping[str, str]) -> list[Texts]:
-    """Labels (N,) of every row, as `_LABELS`: from columns of text, or a text with words of the file's path."""
-    return [np.array(table.texts[label.column] if isinstance(label, TextColumn)
-                     else [label.format(**words)] * table.rows.size) for _, label in layout.labels or Labels()]
 
 
 def _texts(values: ArrayLike, size: int) -> Texts:

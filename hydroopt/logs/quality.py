@@ -1,8 +1,9 @@
 """What looks wrong in a log. Each check gives a mask over samples; nothing is changed here."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hydroopt.logs.channels import is_force
+from hydroopt.logs.mapped import MAPPED, by_pieces
 from hydroopt.logs.table import runs
 
 Array = NDArray[np.float64]
@@ -22,8 +24,6 @@ FINEST = {"m": 1e-6, "rad": 1e-6, "Pa": 100.0}
 16 bits of 60 bar."""
 WINDOW = 25
 """Samples of a running median, so that spikes up to 12 samples wide stand out."""
-_SAMPLED = 16  # every how many samples tell roughly where a quantile lies
-_FEW = 1000  # samples that mostly hold one of the smallest steps
 _USUAL = 1.96 / 6  # 95th percentile of residuals, as a part of the greatest one that is usual
 
 
@@ -67,7 +67,7 @@ def out_of_order(t: Array) -> Mask:
     Stray stamps are found against a running median. Where the clock itself restarts, all samples that are not
     later than an earlier one are marked.
     """
-    if np.all(np.diff(t) >= 0):
+    if not by_steps(t, lambda steps: ~(steps >= 0)).any():
         return np.zeros(t.size, bool)
     stray = median_filter(t, WINDOW, mode="nearest") != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
@@ -82,28 +82,36 @@ def out_of_order(t: Array) -> Mask:
 
 def repeated(t: Array) -> Mask:
     """Samples that carry the same time stamp as the one before, t (N,) not decreasing."""
-    return np.asarray(np.diff(t, prepend=-np.inf) == 0, dtype=bool)
+    return by_steps(t, lambda steps: steps == 0)
 
 
 def usual_step(t: Array) -> float:
-    """The median step [s]; 0 of a single sample."""
-    steps = np.diff(t)
-    if not steps.size:
-        return 0.0
-    middle = [(steps.size - 1) // 2, steps.size // 2]
-    steps.partition(middle)
-    return float(np.mean(steps[middle]))  # NumPy's median looks for the largest one, too
+    """The median step [s], of a long log that of some of its steps, evenly spread; 0 of a single sample."""
+    every = t.size // MAPPED + 1
+    return float(np.median(t[1::every] - t[:-1:every])) if t.size > 1 else 0.0
 
 
 def gaps(t: Array, usual: float) -> Mask:
     """Samples that follow a step of more than three of the `usual` ones."""
-    return np.concatenate([[False], np.diff(t) > 3.0 * usual])
+    return by_steps(t, lambda steps: steps > 3.0 * usual)
 
 
 def jitter(t: Array, usual: float) -> Mask:
     """Samples after a step off the `usual` one by more than 10 %, gaps not counted."""
-    step = np.diff(t)
-    return np.concatenate([[False], ((step < 0.9 * usual) | (step > 1.1 * usual)) & (step <= 3.0 * usual)])
+    return by_steps(t, lambda steps: ((steps < 0.9 * usual) | (steps > 1.1 * usual)) & (steps <= 3.0 * usual))
+
+
+def by_steps(t: NDArray[Any], judge: Callable[[NDArray[Any]], Mask]) -> Mask:
+    """Which samples (N,) follow a step that is judged so; the first one follows none.
+
+    >>> by_steps(np.array([0.0, 1.0, 3.0]), lambda steps: steps > 1).tolist()
+    [False, False, True]
+    """
+    def part(span: slice) -> Mask:
+        steps = np.diff(t[max(span.start - 1, 0):span.stop])
+        return np.concatenate([np.zeros(span.stop - span.start - steps.size, bool), judge(steps)])
+
+    return by_pieces(t.size, part, bool)
 
 
 def spikes(x: Array, finest: float = 0.0) -> Mask:
@@ -123,16 +131,10 @@ def spikes(x: Array, finest: float = 0.0) -> Mask:
     # by far the most often more than 5 % are so large that the worst is usual: no quantile need be known
     if worst <= finest or np.count_nonzero(residual >= _USUAL * worst) >= x.size - int(0.95 * (x.size - 1)):
         return mask
-    usual = max(finest, high_quantile(residual, 0.95) / _USUAL)
-    if 2e-3 * np.ptp(x) > usual:
-        low, high = np.quantile(x, [0.01, 0.99])
-        usual = max(usual, 2e-3 * float(high - low))
-    if worst > usual:
-        steps = np.abs(np.diff(x[:_FEW]))  # by far the most often one of them is so small that the least does not count
-        if not np.any((steps > 0) & (5 * steps <= usual)):
-            steps = np.abs(np.diff(x))
-            lsb = float(np.min(steps[steps > 0], initial=np.inf))
-            usual = max(usual, 5 * lsb if np.isfinite(lsb) else 0.0)
+    low, high = np.quantile(x, [0.01, 0.99])
+    steps = np.abs(np.diff(x))
+    usual = max(finest, float(np.quantile(residual, 0.95)) / _USUAL, 2e-3 * float(high - low),
+                5 * float(np.min(steps[steps > 0])))
     if worst <= usual:
         return mask
     half, far = WINDOW // 2, np.flatnonzero(residual > usual)
@@ -168,25 +170,6 @@ def without_noise(channels: Mapping[str, Array]) -> bool:
 
 
 Extremes = tuple[float, float]
-
-
-def high_quantile(x: Array, share: float) -> float:
-    """As `numpy.quantile` of one share near 1, but only what is larger than most of a sample of x (N,) is put in order.
-
-    >>> high_quantile(np.arange(1000.0), 0.95) == np.quantile(np.arange(1000.0), 0.95)
-    np.True_
-    """
-    some = x[::_SAMPLED]
-    at = int((2 * share - 1) * some.size)
-    guess = np.partition(some, at)[at] if x.size > _SAMPLED else -np.inf
-    high = x[x >= guess]
-    place = (x.size - 1) * share - (x.size - high.size)
-    if place < 0:  # the sample misled
-        return float(np.quantile(x, share))
-    below = int(place)
-    ordered = np.partition(high, [below, min(below + 1, high.size - 1)])
-    first, last = ordered[below], ordered[min(below + 1, high.size - 1)]
-    return float(first + (last - first) * (place - below))
 
 
 def _spread(windows: Array) -> Array:

@@ -25,71 +25,14 @@ GAP = 3.0
 
 
 @dataclass(frozen=True)
-class ChannelGroup(Shown):
-    """Channels that are sampled together, with one clock.
-
-    Attributes:
-        name: of the group: a topic, a sheet, a file, or empty where a file has one group.
-        t: (N,) strictly increasing times [s] from the recording's start.
-        channels: (N,) values by channel name such as ``boom.q``, in SI.
-        units: SI unit by channel; defaults to the usual one of the suffix.
-        sample: (N,) 1-based row in the file. Default 1..N.
-        segment: (N,) index of the uninterrupted stretch a sample belongs to. Default: cut at gaps.
-
-    Raises:
-        LogError: lengths differ, there are fewer than two samples, times do not increase, a channel's name is unknown,
-            or a unit is not SI.
-
-    >>> group = ChannelGroup("/imu", [0.0, 0.01, 0.02], {"boom.qd": [0.1, 0.2, 0.3]})
-    >>> group
-    ChannelGroup('/imu': 3 samples, 100 Hz, 1 channel)
-    """
-
-    name: str
-    t: Array
-    channels: Mapping[str, Array]
-    units: Mapping[str, str] = field(default_factory=dict)
-    sample: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
-    segment: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
-
-    def __post_init__(self) -> None:
-        log = Log(self.name or "group", self.t, self.channels, self.sample, self.segment, units=self.units)
-        for name in ("t", "channels", "units", "sample", "segment"):
-            object.__setattr__(self, name, getattr(log, name))
-
-    def __repr__(self) -> str:
-        return (f"ChannelGroup('{self.name}': {self.size} samples, {1 / self.step:.4g} Hz, {len(self.channels)} channel"
-                f"{'s' * (len(self.channels) != 1)})")
-
-    @property
-    def size(self) -> int:
-        """Number of samples."""
-        return int(self.t.size)
-
-    @property
-    def step(self) -> float:
-        """The median step [s]."""
-        return float(np.median(np.diff(self.t)))
-
-    def corrected(self, clock: Clock) -> ChannelGroup:
-        """The group with its stamps corrected for the delay and the drift of its clock.
-
-        >>> ChannelGroup("/imu", [0.02, 1.02], {"boom.qd": [0.1, 0.2]}).corrected(Clock(0.02)).t.tolist()
-        [0.0, 1.0]
-        """
-        if clock.delay == clock.drift == 0:
-            return self
-        return replace(self, t=(self.t - clock.delay) / (1 + clock.drift))
-
-
-@dataclass(frozen=True)
 class Recording(Shown):
     """What was recorded at one time, in groups of channels that each have their own stamps.
 
     Attributes:
         name: short name, for tables and figures.
         start: moment of t = 0 in UTC, as datetime64[ns]; None where the stamps state no date.
-        groups: in the order of the file; no channel stands in two of them.
+        groups: channels that are sampled together, as logs by the name of their topic, sheet or file, empty where a
+            file has but one group; in the order of the file, no channel stands in two of them.
         findings: what looked wrong and what was done about it.
         path: file it came from; several are joined by ", "; empty for a recording that was made.
         sha256: of that file's bytes, or of the digests of several files.
@@ -98,8 +41,8 @@ class Recording(Shown):
     Raises:
         LogError: there is no group, or a channel or group stands twice.
 
-    >>> fast = ChannelGroup("/joints", np.arange(5) / 100, {"boom.q": np.zeros(5)})
-    >>> slow = ChannelGroup("/can", np.array([0.0, 0.05]), {"boom_cylinder.p_head": np.array([1e6, 2e6])})
+    >>> fast = Log("/joints", np.arange(5) / 100, {"boom.q": np.zeros(5)})
+    >>> slow = Log("/can", np.array([0.0, 0.05]), {"boom_cylinder.p_head": np.array([1e6, 2e6])})
     >>> recording = Recording("run", (fast, slow))
     >>> recording
     Recording('run': 0.05 s, groups '/joints' (5 samples), '/can' (2 samples))
@@ -110,7 +53,7 @@ class Recording(Shown):
     """
 
     name: str
-    groups: tuple[ChannelGroup, ...]
+    groups: tuple[Log, ...]
     start: np.datetime64 | None = None
     findings: tuple[Finding, ...] = ()
     path: str = ""
@@ -144,8 +87,7 @@ class Recording(Shown):
         """
         if isinstance(log.recording, Recording):
             return log.recording
-        only = ChannelGroup(group, log.t, log.channels, log.units, log.sample, log.segment)
-        return cls(log.name, (only,), None, log.findings, log.path, log.sha256)
+        return cls(log.name, (replace(log, name=group, findings=()),), None, log.findings, log.path, log.sha256)
 
     @property
     def duration(self) -> float:
@@ -157,7 +99,7 @@ class Recording(Shown):
         """Values by channel name, in SI; those of different groups have different lengths."""
         return {name: x for group in self.groups for name, x in group.channels.items()}
 
-    def group(self, channel: str) -> ChannelGroup:
+    def group(self, channel: str) -> Log:
         """The group that holds a channel.
 
         Raises:
@@ -182,12 +124,11 @@ class Recording(Shown):
             LogError: there is no such group, or two groups have no time in common.
         """
         where = self.path or self.name
-        groups = [group.corrected(self.clocks.get(group.name, Clock())) for group in self.groups]
+        groups = [self._corrected(group) for group in self.groups]
         base = groups[self._grid(grid, where)]
         others = [group for group in groups if group is not base]
         if not others:
-            return Log(self.name, base.t, base.channels, base.sample, base.segment, self.findings, self.path,
-                       self.sha256, base.units)
+            return replace(base, name=self.name, findings=self.findings, path=self.path, sha256=self.sha256)
         keep, findings, lost = np.ones(base.size, bool), self.findings, list[Finding]()
         for alike in _sampled_alike(others):
             group, shown = alike[0], ", ".join(map(_shown, alike))
@@ -226,13 +167,12 @@ class Recording(Shown):
 
         Interpolation takes fast noise away and leaves slow noise, which is what estimates feel.
 
-        >>> group = ChannelGroup("/can", np.arange(6) * 0.1, {"boom_cylinder.p_head": np.zeros(6)})
+        >>> group = Log("/can", np.arange(6) * 0.1, {"boom_cylinder.p_head": np.zeros(6)})
         >>> recording = Recording("run", (group,))
         >>> [round(recording.hidden_noise("boom_cylinder.p_head", group.t[:-1] + late), 3) for late in (0.0, 0.05)]
         [1.0, 2.449]
         """
-        group = self.group(channel)
-        group = group.corrected(self.clocks.get(group.name, Clock()))
+        group = self._corrected(self.group(channel))
         behind, weight = _neighbours(t, group)
         # second differences of the interpolation's rows: six weights each, some of which belong to one sample
         weights, places = np.stack([1 - weight, weight]), np.stack([behind - 1, behind])
@@ -242,8 +182,13 @@ class Recording(Shown):
         shown /= max(len(t) - 2, 1)
         return float(np.sqrt(6 / shown * group.step / np.median(np.diff(t)))) if shown > 0 else 1.0
 
+    def _corrected(self, group: Log) -> Log:
+        """A group with its stamps corrected for the delay and the drift of its clock."""
+        clock = self.clocks.get(group.name, Clock())
+        return replace(group, t=clock.corrected(group.t)) if clock.delay or clock.drift else group
+
     @property
-    def grid(self) -> ChannelGroup:
+    def grid(self) -> Log:
         """The group whose stamps `log` takes by default."""
         return self.groups[self._grid(None, self.path or self.name)]
 
@@ -260,20 +205,20 @@ class Recording(Shown):
         return min(needed or range(len(names)), key=lambda k: self.groups[k].step)
 
 
-def _sampled_alike(groups: Sequence[ChannelGroup]) -> list[list[ChannelGroup]]:
+def _sampled_alike(groups: Sequence[Log]) -> list[list[Log]]:
     """The groups, those with the same stamps and stretches together."""
-    found: dict[tuple[bytes, bytes], list[ChannelGroup]] = {}
+    found: dict[tuple[bytes, bytes], list[Log]] = {}
     for group in groups:
         found.setdefault((group.t.tobytes(), group.segment.tobytes()), []).append(group)
     return list(found.values())
 
 
-def _shown(group: ChannelGroup) -> str:
+def _shown(group: Log) -> str:
     """What a sentence calls a group."""
     return f"'{group.name or next(iter(group.channels))}'"
 
 
-def _refuse_apart(base: ChannelGroup, group: ChannelGroup, where: str) -> None:
+def _refuse_apart(base: Log, group: Log, where: str) -> None:
     """Refuse two groups that have no time in common.
 
     Raises:
@@ -291,7 +236,7 @@ def _refuse_apart(base: ChannelGroup, group: ChannelGroup, where: str) -> None:
                            f"[clocks.\"{group.name}\"] of a map")
 
 
-def _in_gap(base: ChannelGroup, group: ChannelGroup) -> NDArray[np.bool_]:
+def _in_gap(base: Log, group: Log) -> NDArray[np.bool_]:
     """Stamps (N,) of `base` strictly within a gap of `group`."""
     step = np.diff(group.t)
     behind = np.clip(np.searchsorted(group.t, base.t, side="left"), 1, group.size - 1)
@@ -300,13 +245,13 @@ def _in_gap(base: ChannelGroup, group: ChannelGroup) -> NDArray[np.bool_]:
     return np.asarray(wide[behind - 1] & ~on_stamp)
 
 
-def _neighbours(t: Array, group: ChannelGroup) -> tuple[NDArray[np.intp], Array]:
+def _neighbours(t: Array, group: Log) -> tuple[NDArray[np.intp], Array]:
     """Which sample of a group follows each time (N,), and its weight beside the one before in interpolation."""
     behind = np.clip(np.searchsorted(group.t, t), 1, group.size - 1)
     return behind, (t - group.t[behind - 1]) / (group.t[behind] - group.t[behind - 1])
 
 
-def _lost(base: ChannelGroup, group: ChannelGroup) -> int:
+def _lost(base: Log, group: Log) -> int:
     """How many samples of `group` have no weight at any stamp of `base`."""
     behind, weight = _neighbours(base.t, group)
     within = (weight > -1e-6) & (weight < 1 + 1e-6)

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import ClockMap, ColumnMap, LogMap
-from hydroopt.logs.formats.log_file import LogFile
-from hydroopt.logs.log import refuse_idle
-from hydroopt.logs.table import RawKey
+from hydroopt.logs.formats.sheet import Sheet
+from hydroopt.logs.quality import Finding, out_of_order
+from hydroopt.logs.stamps import of_texts
+from hydroopt.logs.table import Array, RawKey, Table, in_si, refuse_damage, stamps_of
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A sheet of a file by its name; that of a file with one sheet is empty unless there are several files.
-
-    `title` is the name that the file itself has for it, such as a topic.
+class Columns(NamedTuple):
+    """Times (N,) [s], channels (N,) and their units in SI, 1-based data rows (N,), the moment of t = 0, what was done.
     """
 
-    name: str
-    where: str
-    content: LogFile
-    title: str = ""
+    t: Array
+    values: dict[str, Array]
+    units: Mapping[str, str]
+    rows: NDArray[np.int64]
+    start: np.datetime64 | None
+    notes: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Part:
 
     name: str
     where: str
-    sheet: LogFile
+    sheet: Sheet
     layout: LogMap
     ignored: tuple[str, ...] = ()
     clock: Clock = field(default_factory=Clock)
@@ -55,6 +59,30 @@ class Part:
         column = self.layout.columns.get("t")
         return column.keys[0] if column is not None and column.keys else None
 
+    def read(self) -> Columns:
+        """Its channels, in SI.
+
+        Raises:
+            LogError: rows are damaged, a unit is of another kind, or there is only one row.
+        """
+        where, layout = self.where, self.layout
+        table = self.sheet.read(layout.keys, time=self.time)
+        values, units = in_si(layout, table, where)
+        made = stamps_of(layout, table)
+        t = values.pop("t") if "t" in values else (
+            made.seconds() if made is not None else np.full(table.rows.size, np.nan))
+        _refuse_damage(table, t, where)
+        if table.rows.size < 2:
+            raise LogError("there is only one data row", where=where, remedy="record at least two samples")
+        first, last = int(table.rows[0]), int(table.rows[-1])
+        notes = [Finding(kind, channel, first, last, count, text) for kind, channel, count, text in (
+            ("rows", "t", table.rows.size, layout.rows and f"only data rows {first} to {last} were read"),
+            ("ignored", "", 0, self.ignored and f"columns that are not channels left out: {', '.join(self.ignored)}"),
+            ("format", "", 0, self.sheet.shown and f"the file was read with {self.sheet.shown}"),
+            ("clock", "t", 0, made.shown if made is not None else "")) if text]
+        start = of_texts([self.start], None, where).start if self.start else made.start if made is not None else None
+        return Columns(t, values, units, table.rows, start, tuple(notes))
+
 
 def parts_without_map(sheets: Sequence[Sheet], where: str) -> list[Part]:
     """The parts of sheets whose headers are `name [unit]`; those of several without a channel are left out.
@@ -64,14 +92,14 @@ def parts_without_map(sheets: Sequence[Sheet], where: str) -> list[Part]:
     """
     parts = []
     for sheet in sheets:
-        header = sheet.content.header
+        header = sheet.header
         if len(sheets) > 1 and not any("." in parts_of(name)[0] and parts_of(name)[1] for name in header):
             continue
-        layout, ignored = map_of_header(list(header), sheet.where, timed=sheet.content.own_stamps)
+        layout, ignored = map_of_header(list(header), sheet.where, timed=sheet.own_stamps)
         refuse_idle(layout, sheet.where, mapped=False)
-        parts.append(Part(sheet.name, sheet.where, sheet.content, layout, ignored))
+        parts.append(Part(sheet.name, sheet.where, sheet, layout, ignored))
     if not parts:
-        shown = ", ".join(f"'{name}'" for sheet in sheets for name in sheet.content.header[:4])
+        shown = ", ".join(f"'{name}'" for sheet in sheets for name in sheet.header[:4])
         raise LogError(f"no column is a channel with a unit, such as 'boom.q [deg]' (present: {shown[:200]})",
                        where=where, remedy="give a map of the columns with --map, which hydroopt map proposes")
     return parts
@@ -105,7 +133,7 @@ def parts_of_map(layout: LogMap, sheets: Sequence[Sheet], where: str) -> list[Pa
         ordered = {channel: held[channel] for channel in layout.columns if channel in held}
         if (time := _time_of(sheet, stated, layout, alone=len(sheets) == 1)) is not None:
             ordered = {"t": time} | ordered
-        parts.append(Part(name, sheet.where, sheet.content, layout.model_copy(update={"columns": ordered}), (),
+        parts.append(Part(name, sheet.where, sheet, layout.model_copy(update={"columns": ordered}), (),
                           Clock.of(stated.delay, stated.drift), stated.start or "", stated.t is not None))
     if unknown := set(layout.clocks) - {part.name for part in parts}:
         raise LogError(f"there is no group '{min(unknown)}' (present: {', '.join(repr(part.name) for part in parts)})",
@@ -123,24 +151,16 @@ def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[
     candidates = named or list(range(len(sheets)))
     if len(candidates) == 1:
         return candidates[0]
-    holding = [k for k in candidates if all(_holds(sheets[k].content, key) for key in column.keys)]
+    holding = [k for k in candidates if all(sheets[k].holds(key) for key in column.keys)]
     if len(holding) == 1:
         return holding[0]
     shown = f"column {column.column!r}" if column.column is not None else f"variable '{column.variable}'"
     if not holding:
-        present = ", ".join(name for sheet in sheets for name in sheet.content.header)
+        present = ", ".join(name for sheet in sheets for name in sheet.header)
         raise LogError(f"there is no {shown} (present are {present[:160]})", where=where,
                        remedy="correct the name in the map")
     raise LogError(f"{shown} of '{channel}' stands in {', '.join(repr(sheets[k].name) for k in holding[:4])}",
                    where=where, remedy=f"state group = '{sheets[holding[0]].name}' or another one of them in the map")
-
-
-def _holds(sheet: LogFile, key: RawKey) -> bool:
-    if isinstance(key, tuple):
-        return (key[0] if key[1] is None else f"{key[0]}[{key[1]}]") in sheet.header
-    if isinstance(key, int):
-        return key < len(sheet.header)
-    return key in sheet.header or [parts_of(name)[0] for name in sheet.header].count(key) == 1
 
 
 def _time_of(sheet: Sheet, clock: ClockMap, layout: LogMap, *, alone: bool) -> ColumnMap | None:
@@ -152,9 +172,38 @@ def _time_of(sheet: Sheet, clock: ClockMap, layout: LogMap, *, alone: bool) -> C
     if clock.t is not None:
         return clock.t
     common = layout.columns.get("t")
-    if common is not None and (alone or not common.keys or all(_holds(sheet.content, key) for key in common.keys)):
+    if common is not None and (alone or not common.keys or all(sheet.holds(key) for key in common.keys)):
         return common
-    if sheet.content.own_stamps:
+    if sheet.own_stamps:
         return None
     raise LogError("channel 't' is missing" + ("" if alone else f" in '{sheet.name}'"), where=sheet.where,
                    remedy="map the column of the time" + ("" if alone else f", as t in [clocks.\"{sheet.name}\"]"))
+
+
+def refuse_idle(layout: LogMap, where: str, *, mapped: bool) -> None:
+    """Refuse a log none of whose columns is a channel, by its header or by a map that was stated.
+
+    Raises:
+        LogError: there is none.
+    """
+    if layout.columns.keys() - {"t"}:
+        return
+    if mapped:
+        raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
+                       "which unit, and remove the # before it")
+    raise LogError("there is no channel", where=where, remedy="name columns like 'boom.q [deg]' or "
+                   "'boom_cylinder.p_head [bar]', or state a map: 'hydroopt map' proposes one")
+
+
+def _refuse_damage(table: Table, t: Array, where: str) -> None:
+    """Refuse rows that are cut or hold garbage; then also name those whose time is astray.
+
+    Raises:
+        LogError: names the rows and the longest sound stretch.
+    """
+    if not table.damage:
+        return
+    damage, sound = dict(table.damage), np.isfinite(t)
+    for row in table.rows[sound][out_of_order(t[sound])]:
+        damage.setdefault(int(row), "time out of order")
+    refuse_damage(replace(table, damage=damage), where)

@@ -5,10 +5,10 @@ import hashlib
 import io
 import math
 import os
-import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.logs.mapped import release, stored
+from hydroopt.logs.mapped import by_pieces, release
 from hydroopt.logs.stamps import Stamps
 from hydroopt.support.files import write_file
 from hydroopt.support.input_file import read_bytes
@@ -124,17 +124,17 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
     made = stamps_of(layout, table)
     for name, column in layout.columns.items():
         if name == "t" and made is not None:
-            values["t"] = stored(made.seconds())
+            values["t"] = made.seconds()
             continue
         if name == "t" and not column.unit:
             raise LogError("the time is neither dates nor has a unit", where=where,
                            remedy="name its column 't [s]' or state its 'unit' in the map")
         si = si_unit(name, column.unit)
-        raw = [table.columns[key] for key in column.keys] or [np.zeros(len(table.rows))]
+        raw = [table.columns[key] for key in column.keys]
+        scale, shift = column.factor * factor(column.unit, si), column.shift(si, where)
         with np.errstate(over="ignore", invalid="ignore"):
-            difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
-            scale, shift = column.factor * factor(column.unit, si), column.shift(si, where)
-            values[name] = difference if (scale, shift) == (1, 0) else stored(scale * difference + shift)
+            values[name] = raw[0] if (len(raw), scale, shift) == (1, 1, 0) else by_pieces(
+                len(table.rows), partial(_scaled, raw, scale, shift))
         most = largest(si)
         if not (-most <= values[name].min(initial=0.0) and values[name].max(initial=0.0) <= most):  # or one is NaN
             beyond = ~(np.abs(values[name]) <= most) & np.all(np.isfinite(raw), axis=0)
@@ -146,6 +146,13 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
         units[name] = si
         release()
     return values, {name: unit for name, unit in units.items() if name != "t"}
+
+
+def _scaled(raw: Sequence[Array], scale: float, shift: float, span: slice) -> Array:
+    """A part of a channel: factor × (column − minus) + offset, or the offset alone."""
+    if not raw:
+        return np.full(span.stop - span.start, shift)
+    return scale * (raw[0][span] if len(raw) == 1 else raw[0][span] - raw[1][span]) + shift
 
 
 def stamps_of(layout: LogMap, table: Table) -> Stamps | None:
@@ -237,45 +244,14 @@ def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:
     return ", ".join(words) + (f" and {len(parts) - most} more stretches" if len(parts) > most else "")
 
 
-def find_column(key: Key, header: list[str], width: int, where: str) -> int:
-    """Index of a column given by name or 0-based index.
-
-    Raises:
-        LogError: there is none, or the name occurs twice.
-    """
-    if isinstance(key, int):
-        if not 0 <= key < width:
-            raise LogError(f"there is no column {key} among {width} (counted from 0)", where=where,
-                           remedy="correct the index in the map")
-        return key
-    count = header.count(key)
-    if count == 0:
-        bare = [re.sub(r"\s*\[[^\[\]]*\]$", "", name) for name in header]
-        if bare.count(key) == 1:
-            return bare.index(key)
-        present = f"those present are {', '.join(header[:40])}" if header else "no header is read"
-        raise LogError(f"there is no column '{key}' ({present})", where=where,
-                       remedy="correct the name in the map")
-    if count > 1:
-        raise LogError(f"column '{key}' occurs {count} times", where=where,
-                       remedy="rename one or give the column's 0-based index in a map")
-    return header.index(key)
-
-
 def selected(count: int, rows: tuple[int, int] | None, where: str) -> NDArray[np.int64]:
     """1-based data rows that a map selects of `count`."""
-    first, last = ends(count, rows, where)
-    return stored(np.arange(first, last + 1))
-
-
-def ends(count: int, rows: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    """The first and the last of them."""
     first, last = rows or (1, count)
     if last > count:
         raise LogError(f"rows {first} to {last} are asked for, but there are {count} data rows",
                        where=where,
                        remedy="correct 'rows' in the map")
-    return first, last
+    return by_pieces(last - first + 1, lambda span: np.arange(first + span.start, first + span.stop), int)
 
 
 def check_size(size: float, where: str) -> None:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
 from hydroopt.logs.channels import is_force, si_unit
-from hydroopt.logs.mapped import extremes, release, stored
+from hydroopt.logs.mapped import by_pieces, extremes, release
 from hydroopt.logs.quality import Array, Extremes, Finding, Mask
 from hydroopt.logs.table import runs
 
@@ -52,8 +54,27 @@ class Samples:
 
     def keep(self, mask: Mask) -> "Samples":
         """The samples in `mask` (N,)."""
-        return replace(self, t=stored(self.t[mask]), channels={k: stored(x[mask]) for k, x in self.channels.items()},
-                       sample=stored(self.sample[mask]))
+        kept = np.flatnonzero(mask)
+        t, sample, *values = (by_pieces(kept.size, partial(_taken, x, kept), x.dtype)
+                              for x in (self.t, self.sample, *self.channels.values()))
+        return replace(self, t=t, sample=sample, channels=dict(zip(self.channels, values, strict=True)))
+
+
+def _finite(x: Array, span: slice) -> Array:
+    return np.where(np.isinf(x[span]), np.nan, x[span])
+
+
+def _taken(x: NDArray[Any], places: NDArray[np.intp], span: slice) -> NDArray[Any]:
+    return x[places[span]]
+
+
+def numbered(cuts: NDArray[np.intp], size: int) -> NDArray[np.int64]:
+    """The stretch (N,) that each of so many samples belongs to, where others begin at the `cuts`.
+
+    >>> numbered(np.array([2, 3]), 5).tolist()
+    [0, 0, 1, 2, 2]
+    """
+    return by_pieces(size, lambda span: np.searchsorted(cuts, np.arange(span.start, span.stop), "right"), int)
 
 
 def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
@@ -111,8 +132,7 @@ def _by_pieces(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str,
         found += piece.findings
         release()
     for name in (name for name, ends in whole.items() if np.any(np.isinf(ends))):
-        x = samples.channels[name]
-        samples.channels[name] = stored(np.where(np.isinf(x), np.nan, x))
+        samples.channels[name] = by_pieces(count, partial(_finite, samples.channels[name]))
     samples = replace(samples, findings=tuple(_joined(found)))
     return samples if keep.all() else samples.keep(keep)
 
@@ -285,12 +305,12 @@ def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[
     step = find.usual_step(samples.t)
     after_gap, uneven = find.gaps(samples.t, step), find.jitter(samples.t, step)
     if after_gap.any():
-        longest = float(np.max(np.diff(samples.t)))
+        behind = np.flatnonzero(after_gap)
+        longest = float(np.max(samples.t[behind] - samples.t[behind - 1]))
         samples = _note(samples, "gap", "t", after_gap, f"follow a gap (longest {longest:.4g} s, usual step "
                         f"{step:.4g} s)", chosen, where)
     if uneven.any():
         samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
                         f"{step:.4g} s by more than 10 %", chosen, where)
-    split = after_gap if chosen["gap"] == "split" else np.zeros(samples.t.size, bool)
-    release()
-    return samples, stored(np.cumsum(split))
+    cuts = np.flatnonzero(after_gap) if chosen["gap"] == "split" else np.empty(0, int)
+    return samples, numbered(cuts, samples.t.size)

@@ -48,7 +48,7 @@ def render(excitation: Excitation) -> str:
     return document(
         "excitation.html", samples=samples, charts={name: charts_of(some) for name, some in every.items()}, scene=view,
         answer=excitation, machine=machine, excitation=excitation,
-        series=basis.text, still=still,
+        series=basis.text, still=still, pace=plain(100 * excitation.pace, 4),
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), random=_beside_random(excitation),
         count=excitation.random_motions, gain=plain(excitation.gain, 3),
@@ -189,6 +189,8 @@ def render_sheet(excitation: Excitation) -> str:
         joints=[f"{name} [{SMALL[unit][0]}]" for name, unit in zip(names, _joint_units(excitation), strict=True)],
         duration=plain(problem.basis.duration), tips=machine.footprint is not None,
         slope=plain(float(np.degrees(np.hypot(*machine.orientation[:2]))), 2),
+        lowest=None if machine.ground is None else plain(excitation.watch.planned.lowest, 2),
+        pace=plain(100 * excitation.pace, 4),
         kept=reserves_text(problem.limits.reserves))
 
 

@@ -26,7 +26,7 @@ from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Use, Verdict
+from hydroopt.results.verdict import Action, Claim, NextStep, Verdict
 from hydroopt.support.notebook_card import Card, CardTable, Drawn
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ class Answer(Drawn, ABC):
                  for each in self.diagnostics if each.meaning is meaning]
         checks = (NextStep(Action.CHECK, remedy) for remedy in dict.fromkeys(each.remedy for each in first) if remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
-                       first[0].text if first else "", self.uses, (*checks, *self.next_steps), self.headline)
+                       first[0].text if first else "", self.claims, (*checks, *self.next_steps), self.headline)
 
     @property
     def headline(self) -> str:
@@ -182,7 +182,7 @@ class Answer(Drawn, ABC):
 
     @property
     @abstractmethod
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """What it can be used for, by the figures alone."""
 
     @property
@@ -307,6 +307,7 @@ class Answer(Drawn, ABC):
         """The content of the JSON file."""
         return json_file.header(self.job, self.machine_id, self.method, self.inputs) | {
             "status": str(self.status), "verdict": self.verdict.as_dict(),
+            "claims": [each.as_dict() for each in self.verdict.claims if each.bound is not None],
             "findings": [each.as_dict() for each in self.findings],
             "diagnostics": [each.as_dict() for each in self.diagnostics],
             "parameters": [each.as_dict() for each in self.parameters.rows],
@@ -381,8 +382,10 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
     job, status, method = json_file.Job(saved["job"]), Status(saved["status"]), str(saved["method"])
     machine_id = MachineId(**{key: str(saved["machine"][key]) for key in MachineId._fields})
     reason, own = str(saved.get("reason", "")), saved.get("answer", {})
-    verdict = (validated(Verdict, saved["verdict"]) if "verdict" in saved else
-               Verdict(json_file.title(machine_id.name, job, method), status, reason))
+    verdict = Verdict(json_file.title(machine_id.name, job, method), status, reason)
+    if "verdict" in saved:
+        said = saved["verdict"]
+        verdict = validated(Verdict, said | {"claims": [*saved.get("claims", ()), *said.get("unbounded", ())]})
     diagnostics, findings = (validated(tuple[Diagnostic, ...], saved.get(key, ())) for key in (
         "diagnostics", "findings"))
     checks = {each.remedy for each in (*diagnostics, *findings)}
@@ -406,7 +409,7 @@ def _stated(folder: Path, saved: Mapping[str, Any], kind: type[Answer]) -> dict[
     unsaved = {name: Unsaved() for name in getattr(kind, "__dataclass_fields__", {}) if name not in fields}
     return {
         **fields, **unsaved, "machine": property(machine), "directory": folder, "job": job, "reason": reason,
-        "status": status, "method": method, "machine_id": machine_id, "verdict": verdict, "uses": verdict.uses,
+        "status": status, "method": method, "machine_id": machine_id, "verdict": verdict, "claims": verdict.claims,
         "headline": verdict.finding,
         "next_steps": tuple(step for step in verdict.next_steps if step.text not in checks),
         "diagnostics": diagnostics, "findings": findings,

@@ -30,7 +30,7 @@ TABLE_LIMIT = 256 * 1000**2
 """Largest file beside the JSON file that is read [bytes]."""
 TEXTS = (".csv", ".txt", ".toml", ".html")
 """Endings of files of text."""
-SCHEMA = 2
+SCHEMA = 3
 """Version of the JSON files; it changes when a key changes its meaning or goes."""
 
 
@@ -63,8 +63,8 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
          Job.CHECK: "check.json", Job.MOTION_CHECK: "check.json", Job.POSTURE_CHECK: "check.json"}
 """The JSON file of each job."""
-COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
-          "diagnostics", "parameters", "fit", "wall_s", "files", "answer")
+COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "claims",
+          "findings", "diagnostics", "parameters", "fit", "wall_s", "files", "answer")
 """Keys of the JSON file that all answers have."""
 
 

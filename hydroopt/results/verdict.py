@@ -14,6 +14,8 @@ from hydroopt.results.readable import percentage, readable
 from hydroopt.results.status import Status
 from hydroopt.results.tables import number
 
+LEVEL = 0.95
+"""Probability with which the bound of a claim holds."""
 NORMAL = 1.96
 """Half-width of a 95 % interval in standard deviations."""
 LINES, WIDTH, NARROWEST = 12, 110, 60
@@ -23,17 +25,26 @@ LINES, WIDTH, NARROWEST = 12, 110, 60
 class Purpose(StrEnum):
     """What an answer may be used for."""
 
-    LOGS = "identification from these logs"
-    FORCES = "force prediction"
-    MASSES = "single masses"
-    WEIGHING = "weighing a load"
-    CONTROL = "model-based control"
-    POSITION = "position of the tip"
-    DIMENSIONS = "single dimensions"
-    SENSORS = "sensor corrections"
-    VALVES = "valves and oil"
-    CHANGES = "changes between sessions"
-    LOAD = "the load"
+    LOG = "identification from these logs"
+    FORCE = "force"
+    """Prediction of the force of an actuator."""
+    MASS = "mass"
+    """A single mass."""
+    WEIGHING = "weighing"
+    CONTROL = "control"
+    """Feedforward and gravity compensation."""
+    POSITION = "position"
+    """Position of the tip."""
+    LENGTH = "length"
+    """A single dimension of the geometry."""
+    SENSOR = "sensor"
+    """The correction of a sensor."""
+    VALVE = "valve"
+    """Valves and oil."""
+    CHANGE = "change"
+    """A change between sessions."""
+    LOAD = "load"
+    """The mass or centre of a load."""
     DRIVING = "driving this motion"
     DRIVING_TO = "driving to these poses"
 
@@ -46,6 +57,13 @@ class Usable(StrEnum):
     UNTESTED = "not tested"
 
 
+class About(StrEnum):
+    """What a claim is about: what the same sensors will read, or what is true whatever they read."""
+
+    READING = "reading"
+    TRUTH = "truth"
+
+
 class Threshold(NamedTuple):
     """Largest figure of a purpose, as a part of what it is measured by, and the reason for it."""
 
@@ -55,99 +73,109 @@ class Threshold(NamedTuple):
 
 
 THRESHOLDS: Mapping[Purpose, Threshold] = {
-    Purpose.FORCES: Threshold(0.05, "the force's range", (
+    Purpose.FORCE: Threshold(0.05, "the force's range", (
         "The range is four standard deviations of the force: feedforward that errs by a twentieth of it leaves 4 % of "
         "the force's variance to the feedback.")),
-    Purpose.MASSES: Threshold(0.10, "its value", (
+    Purpose.MASS: Threshold(0.10, "its value", (
         "Drawings and catalogues state masses within about a tenth: a wider 95 % interval adds nothing to them. At "
         "least three quarters of the information must be from data, else the number repeats the machine file.")),
     Purpose.WEIGHING: Threshold(0.05, "the load that the machine can hold", (
         "Scales on loaders and excavators that fill trucks state errors of a few per cent of full scale.")),
     Purpose.CONTROL: Threshold(0.05, "the force's range", (
-        "As of force prediction: a model is as good as its worst actuator.")),
+        "As of a force: a model is as good as its worst actuator.")),
     Purpose.POSITION: Threshold(0.004, "the reach", (
         "Guidance of excavators that grade states about 30 mm at a reach of 8 m.")),
-    Purpose.DIMENSIONS: Threshold(0.5, "its uncertainty before", (
+    Purpose.LENGTH: Threshold(0.5, "its uncertainty before", (
         "Half of the uncertainty before: three quarters of the information are from the poses.")),
-    Purpose.SENSORS: Threshold(0.5, "its uncertainty before", (
+    Purpose.SENSOR: Threshold(0.5, "its uncertainty before", (
         "Half of the uncertainty before: three quarters of the information are from the data.")),
-    Purpose.VALVES: Threshold(0.10, "the range of the channel", (
+    Purpose.VALVE: Threshold(0.10, "the range of the channel", (
         "A free run from commands alone adds up all errors: within a tenth of the range the model follows the machine "
         "for the whole log.")),
-    Purpose.LOAD: Threshold(0.05, "its value", "As of weighing a load."),
+    Purpose.LOAD: Threshold(0.05, "its value", "As of weighing."),
 }
 """When a figure counts as usable. A purpose without a threshold is decided by a test."""
 
 
 @dataclass(frozen=True)
-class Use:
-    """One purpose of an answer for one part of the machine.
+class Claim:
+    """How wrong an answer is for one purpose and one part of the machine, and whether that is within the need.
 
     Attributes:
         purpose: what for.
-        subject: actuator, body, parameter or point that it is about; "" for the whole machine.
-        usable: whether it may be used so.
-        figure: the error [`unit`, SI] by which it was decided; None where there is none.
-        part: the figure as a part of what the purpose's `Threshold` says; None where unknown.
-        condition: under which the figure holds.
+        of: actuator, body, parameter or point that it is about; "" for the whole machine.
+        usable: whether the bound is within the need of the purpose.
+        bound: the error [`unit`, SI] that is not exceeded with the probability `LEVEL`; None where there is none.
+        unit: of it.
+        part: the bound as a part of what the purpose's `Threshold` says; None where unknown.
+        condition: under which the bound holds.
         reason: why it is not usable, or not tested; empty where it is usable.
+        about: whether the bound is about readings or about the truth, which scale errors of sensors change.
 
-    >>> use = Use(Purpose.FORCES, "boom_cylinder", Usable.YES, 2600.0, "N", 0.02)
-    >>> print(use)
+    >>> claim = Claim(Purpose.FORCE, "boom_cylinder", Usable.YES, 2600.0, "N", 0.02)
+    >>> print(claim)
     boom_cylinder ±2.6 kN (2.0 %)
     """
 
     purpose: Purpose
-    subject: str
+    of: str
     usable: Usable
-    figure: float | None = None
+    bound: float | None = None
     unit: str = ""
     part: float | None = None
     condition: str = ""
     reason: str = ""
+    about: About = About.TRUTH
+
+    @property
+    def tested(self) -> bool:
+        """Whether there were data to test the bound."""
+        return self.usable is not Usable.UNTESTED
 
     def __str__(self) -> str:
-        sign = " from " if self.purpose is Purpose.CHANGES else " ±"
-        size = "" if self.figure is None else f"{sign}{readable(self.figure, self.unit)}"
+        sign = " from " if self.purpose is Purpose.CHANGE else " ±"
+        size = "" if self.bound is None else f"{sign}{readable(self.bound, self.unit)}"
         part = "" if self.part is None else f" ({percentage(self.part)})" if size else f" ±{percentage(self.part)}"
-        return f"{self.subject}{size}{part}".strip()
+        return f"{self.of}{size}{part}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
-        finite = {key: None if (value := getattr(self, key)) is None else number(value) for key in ("figure", "part")}
-        return asdict(self) | finite | {"purpose": str(self.purpose), "usable": str(self.usable)}
+        finite = {key: None if (value := getattr(self, key)) is None else number(value) for key in ("bound", "part")}
+        return asdict(self) | finite | {"purpose": str(self.purpose), "usable": str(self.usable),
+                                        "about": str(self.about), "level": LEVEL, "tested": self.tested}
 
 
-def judged(purpose: Purpose, subject: str, figure: float, unit: str, part: float, *, condition: str = "",
-           reason: str = "", untested: str = "") -> Use:
-    """A use, decided by the threshold of its purpose.
+def judged(purpose: Purpose, of: str, bound: float, unit: str, part: float, *, condition: str = "",
+           reason: str = "", untested: str = "", about: About = About.TRUTH) -> Claim:
+    """A claim, decided by the threshold of its purpose.
 
     Args:
         purpose: with a threshold.
-        subject: what it is about.
-        figure: the error [`unit`].
+        of: what it is about.
+        bound: the error [`unit`].
         unit: of it, SI.
-        part: the figure as a part of what the threshold says; NaN where unknown, which is not tested.
-        condition: under which the figure holds.
-        reason: why it is not usable, if that is not the figure alone.
+        part: the bound as a part of what the threshold says; NaN where unknown, which is not tested.
+        condition: under which the bound holds.
+        reason: why it is not usable, if that is not the bound alone.
         untested: why it is not tested, if the data for that are missing.
+        about: whether it is about readings or the truth.
 
-    >>> judged(Purpose.MASSES, "boom.m", 40.0, "kg", 0.03).usable
+    >>> judged(Purpose.MASS, "boom.m", 40.0, "kg", 0.03).usable
     <Usable.YES: 'usable'>
     """
     limit = THRESHOLDS[purpose]
-    known, size = number(part), number(figure)
+    known, size = number(part), number(bound)
     if untested:
-        return Use(purpose, subject, Usable.UNTESTED, size, unit, known, condition, untested)
+        return Claim(purpose, of, Usable.UNTESTED, size, unit, known, condition, untested, about)
     if known is None and not reason:
-        return Use(purpose, subject, Usable.UNTESTED, size, unit, None, condition, f"{limit.of} is not known")
+        return Claim(purpose, of, Usable.UNTESTED, size, unit, None, condition, f"{limit.of} is not known", about)
     if reason or (known is not None and known > limit.part):
-        return Use(purpose, subject, Usable.NO, size, unit, known, condition,
-                   reason or f"more than {percentage(limit.part)} of {limit.of}")
-    return Use(purpose, subject, Usable.YES, size, unit, known, condition)
+        return Claim(purpose, of, Usable.NO, size, unit, known, condition,
+                   reason or f"more than {percentage(limit.part)} of {limit.of}", about)
+    return Claim(purpose, of, Usable.YES, size, unit, known, condition, about=about)
 
 
-def determined(purpose: Purpose, row: ParameterRow, *, condition: str = "", unknown: str = "") -> Use:
+def determined(purpose: Purpose, row: ParameterRow, *, condition: str = "", unknown: str = "") -> Claim:
     """A single number of an answer, decided by how much the data narrowed it.
 
     Args:
@@ -157,10 +185,10 @@ def determined(purpose: Purpose, row: ParameterRow, *, condition: str = "", unkn
         unknown: why it has none, where it has none.
     """
     if row.std is None or row.identifiability == "none":
-        return Use(purpose, row.name, Usable.NO, reason=unknown)
+        return Claim(purpose, row.name, Usable.NO, reason=unknown)
     half = NORMAL * row.std
     if not row.prior_std:
-        return Use(purpose, row.name, Usable.YES, half, row.unit, condition=condition)
+        return Claim(purpose, row.name, Usable.YES, half, row.unit, condition=condition)
     return judged(purpose, row.name, half, row.unit, row.std / row.prior_std, condition=condition)
 
 
@@ -195,43 +223,51 @@ class Verdict:
         status: of the answer.
         cause: why it is not ok, or what the machine file lacks, in a sentence.
         finding: the answer in a sentence, where the job asks a question, such as whether anything changed.
-        uses: by purpose and part of the machine.
+        claims: by purpose and part of the machine, those with a bound first.
         next_steps: the most useful first.
 
     >>> verdict = Verdict("crane: identification", Status.OK, "", (
-    ...     Use(Purpose.FORCES, "lift_cylinder", Usable.YES, 260.0, "N", 0.02, "on 1 held-out log"),),
+    ...     Claim(Purpose.FORCE, "lift_cylinder", Usable.YES, 260.0, "N", 0.02, "on 1 held-out log"),),
     ...     (NextStep(Action.USE, "Write the model as C:", "hydroopt codegen out -o c"),))
     >>> print(verdict.card())
     crane: identification: ok
-      usable      force prediction: lift_cylinder ±260 N (2.0 %); on 1 held-out log
+      usable      force: lift_cylinder ±260 N (2.0 %); on 1 held-out log
       next        Write the model as C:
                   hydroopt codegen out -o c
-    >>> verdict.usable(Purpose.FORCES), verdict.usable(Purpose.CONTROL), verdict.serves
+    >>> verdict.usable(Purpose.FORCE), verdict.usable(Purpose.CONTROL), verdict.serves
     (True, False, True)
     """
 
     title: str
     status: Status
     cause: str = ""
-    uses: tuple[Use, ...] = ()
+    claims: tuple[Claim, ...] = ()
     next_steps: tuple[NextStep, ...] = ()
     finding: str = ""
 
     def __post_init__(self) -> None:
+        claims = sorted(self.claims, key=lambda each: each.bound is None)
         if self.status is not Status.OK:
-            why = f"the answer is {self.status}"
-            object.__setattr__(self, "uses", tuple(
-                replace(use, usable=Usable.NO, reason=why) if use.usable is Usable.YES else use for use in self.uses))
+            claims = [replace(each, usable=Usable.NO, reason=f"the answer is {self.status}")
+                      if each.usable is Usable.YES else each for each in claims]
+        object.__setattr__(self, "claims", tuple(claims))
 
     @property
     def serves(self) -> bool:
         """Whether it is usable for anything, or names no use at all."""
-        return not self.uses or any(use.usable is Usable.YES for use in self.uses)
+        return not self.claims or any(claim.usable is Usable.YES for claim in self.claims)
+
+    @property
+    def said(self) -> tuple[Claim, ...]:
+        """The claims that a card shows: those about readings, or about the truth where there are none of these."""
+        read = {(each.purpose, each.of) for each in self.claims if each.about is About.READING}
+        return tuple(each for each in self.claims
+                     if each.about is About.READING or (each.purpose, each.of) not in read)
 
     def usable(self, purpose: Purpose, subject: str | None = None) -> bool:
         """Whether the answer is usable for a purpose: for one part of the machine, or for all that it is about."""
-        about = [use for use in self.uses if use.purpose is purpose and subject in (None, use.subject)]
-        return bool(about) and all(use.usable is Usable.YES for use in about)
+        about = [claim for claim in self.claims if claim.purpose is purpose and subject in (None, claim.of)]
+        return bool(about) and all(claim.usable is Usable.YES for claim in about)
 
     def card(self, width: int = WIDTH) -> str:
         """The verdict as plain text for a terminal: of at most `LINES` lines, or as much text in narrower ones.
@@ -258,7 +294,7 @@ class Verdict:
             lines += _wrapped(self.finding, "found", width)
         for usable in Usable:
             for purpose in Purpose:
-                if some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)]:
+                if some := [claim for claim in self.said if (claim.purpose, claim.usable) == (purpose, usable)]:
                     lines += _wrapped(f"{purpose}: {_folded(some, most, conditions=conditions)}", usable, width)
         return lines
 
@@ -268,7 +304,7 @@ class Verdict:
         said = {str(self.status): self.cause} if self.cause else {}
         for usable in Usable:
             texts = [f"{purpose}: {_folded(some, 3, conditions=True)}" for purpose in Purpose if (
-                some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)])]
+                some := [claim for claim in self.said if (claim.purpose, claim.usable) == (purpose, usable)])]
             said |= {str(usable): ". ".join(texts)} if texts else {}
         return said | ({"next": " ".join(filter(None, (
             self.next_steps[0].text, self.next_steps[0].command)))} if self.next_steps else {})
@@ -277,27 +313,28 @@ class Verdict:
         """The entry of a JSON file."""
         return {"title": self.title, "status": str(self.status), "cause": self.cause,
                 "finding": self.finding,
-                "uses": [use.as_dict() for use in self.uses],
+                "unbounded": [each.as_dict() for each in self.claims if each.bound is None],
                 "next_steps": [asdict(step) | {"action": str(step.action)} for step in self.next_steps],
                 "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
-                               for purpose in dict.fromkeys(use.purpose for use in self.uses) if purpose in THRESHOLDS}}
+                               for purpose in dict.fromkeys(each.purpose for each in self.claims)
+                               if purpose in THRESHOLDS}}
 
 
-def _folded(uses: Sequence[Use], most: int, *, conditions: bool) -> str:
-    """The figures of several uses by the reason that they share, then their conditions if they are wanted."""
-    groups: dict[str, list[Use]] = {}
-    for use in uses:
-        groups.setdefault(use.reason, []).append(use)
+def _folded(claims: Sequence[Claim], most: int, *, conditions: bool) -> str:
+    """The figures of several claims by the reason that they share, then their conditions if they are wanted."""
+    groups: dict[str, list[Claim]] = {}
+    for claim in claims:
+        groups.setdefault(claim.reason, []).append(claim)
     said = [": ".join(filter(None, [_figures(some, -(-most // len(groups))), reason]))
             for reason, some in groups.items()]
-    on = dict.fromkeys(use.condition for use in uses if use.condition and conditions)
+    on = dict.fromkeys(claim.condition for claim in claims if claim.condition and conditions)
     return "; ".join(filter(None, [*said, *on][:3]))
 
 
-def _figures(uses: Sequence[Use], most: int) -> str:
-    """The first figures of several uses, and how many there are more."""
-    more = f" and {len(uses) - most} more" if len(uses) > most else ""
-    return f"{', '.join(filter(None, map(str, uses[:most])))}{more}"
+def _figures(claims: Sequence[Claim], most: int) -> str:
+    """The first figures of several claims, and how many there are more."""
+    more = f" and {len(claims) - most} more" if len(claims) > most else ""
+    return f"{', '.join(filter(None, map(str, claims[:most])))}{more}"
 
 
 def _wrapped(text: str, label: str, width: int) -> list[str]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.study import processes
-from hydroopt.study.study import Compute, Outcome, Study, Value
+from hydroopt.study.processes import Crew, computed, processes
+from hydroopt.study.study import Outcome, Study, Value
 from hydroopt.study.table import Table
 from hydroopt.support.files import claimed, write_files
 from hydroopt.support.input_file import read_json
@@ -54,7 +54,8 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         missing, before = [k for k in range(len(study.cells)) if k not in outcomes], len(outcomes)
         if missing:
             say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
-            with _compute(study, scheduler, workers, say) as compute, closing(_finished(compute, missing)) as results:
+            crew = _crew(study, scheduler, min(workers, len(missing)), say)
+            with closing(_finished(study, missing, crew)) as results:
                 for index, outcome in results:
                     outcomes[index] = place.write(index, outcome)
                     say(f"{len(outcomes)} of {len(study.cells)} cells", (len(outcomes) - before) / len(missing))
@@ -66,26 +67,28 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
     return table
 
 
-def _compute(study: Study, scheduler: str | None, workers: int, say: Progress) -> AbstractContextManager[Compute]:
+def _crew(study: Study, scheduler: str | None, workers: int,
+          say: Progress) -> Callable[[], AbstractContextManager[Crew]]:
     """What computes cells: processes of this computer, or the workers of a Dask scheduler."""
     if scheduler is None:
-        return nullcontext(partial(processes.computed, study, workers=workers))
+        return partial(processes, study, workers)
     needed("distributed", "cells are handed to a scheduler with Dask", where=f"--scheduler {scheduler}")
     from hydroopt.study.scheduler import computing  # noqa: PLC0415 (Dask takes a second to import)
 
-    return computing(study, scheduler, say)
+    return partial(computing, study, scheduler, say)
 
 
-def _finished(compute: Compute, indices: Sequence[int]) -> Generator[tuple[int, Outcome]]:
+def _finished(study: Study, indices: Sequence[int],
+              crew: Callable[[], AbstractContextManager[Crew]]) -> Generator[tuple[int, Outcome]]:
     """Outcomes of cells as they finish."""
     suspects = []
-    for index, found in compute(indices):
+    for index, found in computed(study, indices, crew):
         if found is None:
             suspects.append(index)
         else:
             yield index, found
     for suspect in suspects:  # one by one: a crash costs no other cell, and the memory may suffice for one
-        for index, found in compute([suspect]):
+        for index, found in computed(study, [suspect], crew):
             yield index, found or {"error": f"cell {index}: the process that computed it died repeatedly; check "
                                    "whether the memory suffices."}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,8 +21,6 @@ Value = float | int | str | None
 Values = Mapping[str, Value]
 Outcome = Mapping[str, Any]
 """Of one cell: ``{"result": {...}}``, or ``{"error": sentence}``."""
-Compute = Callable[[Sequence[int]], Iterator[tuple[int, Outcome | None]]]
-"""Computes cells by their indices: outcomes as they finish, None where the process that computed one died."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +47,6 @@ class Study:
         identity = {"study": self.name, **self.settings, "cells": len(self.cells), "cells_sha256": cells,
                 "versions": versions()}
         return dict(json.loads(json.dumps(identity)))
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the identity."""
-        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
 
 
 def seeds(seed: int, count: int) -> list[int]:

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.usability import TO_SCALE, scale_assumed
+from hydroopt.estimation.dynamic.claims import TO_SCALE, scale_assumed
 from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
@@ -22,7 +22,7 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable, row
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable, judged
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
 from hydroopt.weighing.equations import Equations, equations
@@ -223,14 +223,14 @@ class Weighing(Answer):
                     "calibrate again.")
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well each load is weighed."""
         full, scaled = self.scale.load.full_scale, f"; {TO_SCALE}" if self.scale.exact else ""
         return tuple(
             judged(Purpose.WEIGHING, each.name, NORMAL * each.mass_std, "kg", NORMAL * each.mass_std / full,
                    condition=f"95 % interval, as a part of the full scale of {readable(full, 'kg')}{scaled}")
             if each.ok else
-            Use(Purpose.WEIGHING, each.name, Usable.NO, reason=str(each.reading.status)) for each in self.loads)
+            Claim(Purpose.WEIGHING, each.name, Usable.NO, reason=str(each.reading.status)) for each in self.loads)
 
     @property
     def headline(self) -> str:

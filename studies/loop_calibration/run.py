@@ -98,13 +98,13 @@ def outcome(found: Calibration, made: SimulatedPoses, q: np.ndarray) -> Outcome:
     tips, lengths = ([model.over(function, each, q)[0][:, :, 0] for each in geometry]
                      for function in (end, model.lengths))
     off = np.linalg.norm(tips[0] - tips[1], axis=1)
-    (use,) = (each for each in found.uses if each.purpose is Purpose.POSITION)
+    (claim,) = (each for each in found.claims if each.purpose is Purpose.POSITION)
     inside = [row.ci95[0] <= made.truth[row.name] <= row.ci95[1] for row in found.parameters.rows
               if row.name in made.truth and row.identifiability != "none" and row.ci95 and row.ci95[0] is not None]
     return Outcome(inside, (square(tips[2] - tips[1]), square(tips[0] - tips[1])),
                    (square(lengths[2] - lengths[1]) / lengths[0].shape[1],
                     square(lengths[0] - lengths[1]) / lengths[0].shape[1]),
-                   float(np.mean(off <= (use.figure or 0.0))), found.status == "ok",
+                   float(np.mean(off <= (claim.bound or 0.0))), found.status == "ok",
                    any(name.endswith(".toml") for name in found.files()))
 
 

@@ -16,7 +16,6 @@ from hydroopt import (
     solve,
 )
 from hydroopt.logs.clock import Clock
-from hydroopt.logs.recording import ChannelGroup
 from hydroopt.machine.links import Note
 
 LATE, FAST = 0.02, 0.003
@@ -121,8 +120,8 @@ def grouped(log: Log, later, late: float, fast: float, clocks: dict) -> Recordin
     """The log as two loggers have it, the second of which has those channels, and a clock that is late and fast."""
     channels = {name: x for name, x in log.channels.items() if not name.endswith(".length")}
     parts = [{name: x for name, x in channels.items() if later(name) is second} for second in (False, True)]
-    return Recording("drive", (ChannelGroup("one", log.t, parts[0]),
-                               ChannelGroup("other", log.t * (1 + fast) + late, parts[1])), clocks=clocks)
+    return Recording("drive", (Log("one", log.t, parts[0]),
+                               Log("other", log.t * (1 + fast) + late, parts[1])), clocks=clocks)
 
 
 CASES = {"by_motion_cat215b": by_motion} | {

@@ -17,7 +17,7 @@ from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.excitation.selection.goals import LoadGoal
 from hydroopt.excitation.selection.measurements import Addition, Measurement, equipped
-from hydroopt.excitation.selection.pose_problem import PoseLabels, pose_problem
+from hydroopt.excitation.selection.pose_problem import PoseLabels, Postures, pose_problem
 from hydroopt.excitation.selection.readings import PostureReadings
 from hydroopt.excitation.selection.what_next import plan_next
 from hydroopt.excitation.selection.what_next_problem import WhatNextProblem, what_next_problem
@@ -108,7 +108,8 @@ def chosen(problem: WhatNextProblem, true: WhatNextProblem | None = None) -> lis
         left = room - cost.minutes * len(parts)
         done.add(cost.name)
         motions = tuple(parts) if step.measurement.motions else ()
-        q = np.zeros((0, 0)) if step.measurement.q is None else step.measurement.q[list(parts)]
+        postures = step.measurement.postures
+        q = np.zeros((0, 0)) if postures is None else postures.q[list(parts)]
         work.append(Work(cost.name, q, motions))
     return work
 
@@ -118,7 +119,7 @@ def least(problem: WhatNextProblem, minutes: float = BUDGET - 15.0, steps: int =
     first set-up: the optimal shares of minutes, other set-ups for nothing, and the tangent of the variance there, which
     is convex in them, as a bound."""
     goal, known = problem.goals[0], problem.knowledge
-    own, posed = known.own, [each for each in problem.measurements if each.labels is not None]
+    own, posed = known.own, [each for each in problem.measurements if each.postures is not None]
     scale = np.sqrt(np.diag(known.first)[own])
     rows = [row * scale / np.sqrt(each.minutes) for each in posed for row in each.rows]
     rows = np.array([np.pad(row, ((0, max(map(len, rows)) - len(row)), (0, 0))) for row in rows])
@@ -145,7 +146,7 @@ def expected(problem: WhatNextProblem, work: Sequence[Work]) -> dict[str, float]
         elif each.owner in added:  # which the machine file does not state, in postures that are candidates
             for q in each.q:
                 known = known.after(named[each.owner],
-                                    int(np.argmin(np.linalg.norm(named[each.owner].q - q, axis=1))))
+                                    int(np.argmin(np.linalg.norm(named[each.owner].postures.q - q, axis=1))))
         else:
             known = known.with_rows(rows_at(problem, each), np.arange(problem.knowledge.geometry), geometry_exact=False)
     return {name: goal.std(known.covariance) for name, goal in zip(problem.targets, problem.goals, strict=True)}
@@ -155,7 +156,7 @@ def rows_at(problem: WhatNextProblem, work: Work) -> np.ndarray:
     """Whitened rows (m, f) of readings in postures that are none of the candidates."""
     readings = problem.postures[0].readings
     blank = PoseLabels(*(np.full(len(work.q), "") for _ in PoseLabels._fields))
-    there = PostureReadings(pose_problem(problem.machine, 1, priors=True), readings, work.q, blank)
+    there = PostureReadings(Postures(pose_problem(problem.machine, 1, priors=True), work.q, blank), readings)
     wanted = np.array([each.owner == work.owner or each.kind == "transducer" for each in readings])
     rows = there.rows_of(np.arange(len(work.q)), there.there & wanted)
     made = np.zeros((rows.shape[0] * rows.shape[1], problem.knowledge.geometry))

@@ -62,7 +62,7 @@ def test_the_next_command_runs_as_it_is_printed(log: Path, tmp_path: Path, monke
 def test_as_json(log: Path) -> None:
     content = json.loads(run("check", "patu655_lift", str(log), "--json"))
     assert content["conditioning"]["rank"] == content["conditioning"]["structural_rank"] == 5
-    assert content["verdict"]["uses"][0]["usable"] == "usable"
+    assert content["verdict"]["unbounded"][0]["usable"] == "usable"
 
 
 def test_a_log_with_a_flipped_sign_is_not_usable(log: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_an_interrupted_study_says_how_to_go_on(montecarlo: tuple[Path, str], tm
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
-    monkeypatch.setattr("hydroopt.study.processes.computed", interrupted)
+    monkeypatch.setattr("hydroopt.study.run.computed", interrupted)
     out = shutil.copytree(montecarlo[0], tmp_path / "out")
     for name in ("cells/1.json", "cells/3.json", "results.csv"):
         (out / name).unlink()

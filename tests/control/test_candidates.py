@@ -12,7 +12,17 @@ from numpy.testing import assert_allclose
 from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
-from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, compare, margin_diagnostics
+from hydroopt.control.comparison import (
+    FEEDFORWARD,
+    LQG,
+    PI,
+    SMALL_DB,
+    SMALL_DEG,
+    Comparison,
+    Outcome,
+    compare,
+    margin_diagnostics,
+)
 from hydroopt.control.reference import Reference
 from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting, reduced, truth
 from hydroopt.model.plant import Plant
@@ -218,6 +228,14 @@ def test_a_joint_follows_a_step_of_its_reference(exact_feedforward: Comparison) 
     t, y = exact_feedforward.winner.loops.steps(30.0)
     assert y[-1, 0] == pytest.approx(1.0, abs=0.03)
     assert t[-1] == pytest.approx(30.0)
+
+
+def test_small_margins_are_those_that_a_peak_sensitivity_of_two_leaves() -> None:
+    """Of a sensitivity M: a gain margin of M/(M − 1), and a phase margin of 2·asin(1/(2·M)), 29 degrees for 2."""
+    most = 2.0
+    gain, phase = 20 * np.log10(most / (most - 1)), np.degrees(2 * np.arcsin(1 / (2 * most)))
+    assert_allclose([gain, phase], [6.02, 28.96], atol=0.01)
+    assert_allclose([SMALL_DB, SMALL_DEG], [gain, phase], rtol=0.04)
 
 
 def test_small_margins_ask_for_the_valves_and_for_more_robust_loops(exact_feedforward: Comparison) -> None:

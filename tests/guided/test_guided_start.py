@@ -301,4 +301,4 @@ def test_a_machine_of_the_guided_start_is_identified_from_its_first_log(kind: st
     train, unseen = (simulate(model, motion, truth, seed=k) for k, motion in enumerate(motions))
     estimate = solve(identification_problem(machine, [train], [unseen]))
     assert estimate.status is Status.OK
-    assert any(use.usable is Usable.YES for use in estimate.uses if use.purpose is Purpose.FORCES)
+    assert any(claim.usable is Usable.YES for claim in estimate.claims if claim.purpose is Purpose.FORCE)

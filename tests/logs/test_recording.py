@@ -9,12 +9,12 @@ from hydroopt.errors import LogError
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log, read_recording
-from hydroopt.logs.recording import ChannelGroup, Recording
+from hydroopt.logs.recording import Recording
 
 
 def group(name, rate, channel, duration=2.0, start=0.0):
     t = start + np.arange(round(duration * rate) + 1) / rate
-    return ChannelGroup(name, t, {channel: np.sin(t)})
+    return Log(name, t, {channel: np.sin(t)})
 
 
 def test_one_group_is_the_log_itself():
@@ -54,7 +54,7 @@ def test_every_sample_without_a_partner_is_stated():
 
 def test_nothing_is_interpolated_across_a_gap():
     t = np.concatenate([np.arange(0, 0.5, 0.02), np.arange(1.0, 2.001, 0.02)])
-    slow = ChannelGroup("can", t, {"boom_cylinder.p_head": t})
+    slow = Log("can", t, {"boom_cylinder.p_head": t})
     log = Recording("run", (group("joints", 100, "boom.q"), slow)).log()
     assert not np.any((log.t > 0.48 + 1e-9) & (log.t < 1.0 - 1e-9))
     assert log.segment[0] == 0
@@ -72,8 +72,9 @@ def test_clocks_that_are_hours_apart_are_named():
 
 def test_a_late_and_fast_clock_is_corrected():
     true = group("imu", 100, "boom.qd")
-    stamped = ChannelGroup("imu", true.t * 1.003 + 0.02, true.channels)
-    np.testing.assert_allclose(stamped.corrected(Clock(0.02, 0, 0.003)).t, true.t, atol=1e-15)
+    stamped = Log("imu", true.t * 1.003 + 0.02, true.channels)
+    recording = Recording("run", (stamped,), clocks={"imu": Clock(0.02, 0, 0.003)})
+    np.testing.assert_allclose(recording.log().t, true.t, atol=1e-15)
 
 
 @pytest.mark.parametrize(("groups", "sentence"), [

@@ -337,8 +337,8 @@ def test_machines_that_nothing_holds_have_a_report(tmp_path: Path) -> None:
     assert np.ptp(found.workspace.position[:, 0]) > 1
     assert np.all(np.isnan(found.workspace.std))
     assert found.workspace.exact == ("lift.a", "bucket.a")
-    use = found.uses[0]
-    assert (use.purpose, use.usable, use.figure) == (Purpose.POSITION, Usable.UNTESTED, None)
-    assert use.reason == "the machine file states no sigma of lift.a, bucket.a"
+    claim = found.claims[0]
+    assert (claim.purpose, claim.usable, claim.bound) == (Purpose.POSITION, Usable.UNTESTED, None)
+    assert claim.reason == "the machine file states no sigma of lift.a, bucket.a"
     assert "a sigma of lift.a, bucket.a" in found.next_steps[-2].text
     assert "tilt_cylinder.barrel.x" in render(found)

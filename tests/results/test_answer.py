@@ -18,7 +18,7 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
-from hydroopt.results.verdict import Purpose, Usable, Use
+from hydroopt.results.verdict import Claim, Purpose, Usable
 
 
 class Example(Answer):
@@ -34,7 +34,7 @@ class Example(Answer):
         row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),
         row("lift.mc_z", "first moment", "kg*m", nominal=0.0, identifiability="none")])
     fit: Mapping[str, Mapping[str, Fit]] = {"train": {"lift_cylinder": Fit(210.0, 0.98, 0.05, "N")}}
-    uses = (Use(Purpose.MASSES, "lift.m", Usable.YES, 5.9, "kg", 0.047),)
+    claims = (Claim(Purpose.MASS, "lift.m", Usable.YES, 5.9, "kg", 0.047),)
     inputs = ({"path": "log.csv", "sha256": None, "samples": 10, "role": "train"},)
 
     def details(self) -> Mapping[str, Any]:
@@ -94,8 +94,8 @@ def test_no_file_elsewhere_is_removed_or_read_whatever_an_answer_lists(tmp_path:
 
 @pytest.mark.parametrize(("text", "what"), [
     ("", "damaged"), ("[]", "damaged"), ("{}", "damaged"), ("[" * 100_000, "damaged"),
-    ('{"schema": 1, "machine": {}}', "its schema is 1"), ('{"schema": 2, "machine": {}}', "damaged"),
-    ('{"schema": 2, "job": "x", "status": "ok", "machine": {"name": "a", "parameter_set": "", "sha256": "b"}}',
+    ('{"schema": 1, "machine": {}}', "its schema is 1"), ('{"schema": 3, "machine": {}}', "damaged"),
+    ('{"schema": 3, "job": "x", "status": "ok", "machine": {"name": "a", "parameter_set": "", "sha256": "b"}}',
      "damaged")])
 def test_damage_is_refused_in_a_sentence(tmp_path: Path, text: str, what: str) -> None:
     (tmp_path / "estimate.json").write_text(text)

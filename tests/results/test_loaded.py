@@ -155,7 +155,7 @@ def test_what_is_loaded_is_of_the_same_class_and_says_the_same(solved: Callable[
     assert (repr(loaded), str(loaded)) == (repr(answer), str(answer))
     for name in SAYS:
         assert getattr(loaded, name) == getattr(answer, name), name
-    assert loaded.uses == answer.verdict.uses
+    assert loaded.claims == answer.verdict.claims
     assert {*loaded.next_steps} <= {*answer.verdict.next_steps}
     assert loaded.details() == json.loads(json.dumps(answer.details()))
     assert loaded.to_frame().equals(answer.to_frame())

@@ -352,7 +352,7 @@ def test_a_known_load_corrects_wrong_areas(wrong: str, made: Scale, log: ho.Log,
     misled = scale(ho.Model(file), machine.calibration(5), LOAD)
     trusting = weigh(misled, log)
     assert "true to the stated areas and sensors' scales" in trusting.headline
-    assert all("true to the stated areas" in use.condition for use in trusting.uses)
+    assert all("true to the stated areas" in claim.condition for claim in trusting.claims)
     assert [each.kind for each in trusting.diagnostics] == ["scale of force readings assumed exact"]
     assert "one known load" in trusting.next_steps[0].text
     motion = ho.random_trajectory(machine.model, duration=20.0, rate=50.0, seed=9)

@@ -44,7 +44,7 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import COVARIANCE, covariance_csv, number
-from hydroopt.results.verdict import Purpose, Use, determined
+from hydroopt.results.verdict import Claim, Purpose, determined
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.notebook_card import Shown
 
@@ -184,10 +184,10 @@ class CombinedEstimate(Estimate):
         return ParameterTable([*rows, *held, *super().parameters.rows])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """As of an `Estimate`, and which dimensions are determined."""
         dimensions = [name for name in self.kinematics.problem.model.parameters.names if name in self.numbers.names]
-        return (*super().uses, *(determined(Purpose.DIMENSIONS, self.parameters[name], condition="95 % intervals",
+        return (*super().claims, *(determined(Purpose.LENGTH, self.parameters[name], condition="95 % intervals",
                                             unknown="the logs do not determine it") for name in dimensions))
 
     @cached_property

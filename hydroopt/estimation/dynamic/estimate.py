@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic import diagnostics, reversals, usability
+from hydroopt.estimation.dynamic import claims, diagnostics, reversals
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identification import Identification
@@ -30,7 +30,7 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import NextStep, Use
+from hydroopt.results.verdict import Claim, NextStep
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,15 +131,15 @@ class Estimate(Identification, Answer):
             for k, name in enumerate(stated.names)])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Which forces it predicts, which masses it determines, how well it weighs a load, and whether it can control.
         """
-        return usability.uses(self, self.parameters)
+        return claims.claims(self, self.parameters)
 
     @cached_property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would make it better, or how to use it."""
-        return usability.next_steps(self, self.uses, self.command_line)
+        return claims.next_steps(self, self.claims, self.command_line)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

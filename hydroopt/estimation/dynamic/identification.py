@@ -12,6 +12,7 @@ import numpy as np
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
+from hydroopt.estimation.dynamic.left_out import LeftOut, left_out
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, reduced_parameters
 from hydroopt.estimation.dynamic.regressor_qr import predict
@@ -117,6 +118,11 @@ class Identification:
         return prior_test(weighted.R, weighted.r, self.problem.file_prior_rows, parameters.scale, parameters.nominal, {
             name: np.concatenate([np.arange(len(parameters))[parameters.bodies[owner]] for owner in owners])
             for name, owners in groups.items()})
+
+    @cached_property
+    def left_out(self) -> LeftOut | None:
+        """Errors of forces in blocks of the logs that are predicted without them, and in held-out logs."""
+        return left_out(self)
 
     @property
     def uses_priors(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.dynamic import usability
+from hydroopt.estimation.dynamic import claims
 from hydroopt.estimation.dynamic.diagnostics import NOT_EXCITED, not_identified, short_stretches, uncertain_positions
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
@@ -31,7 +31,7 @@ from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 
 METHOD = "weighted least squares"
@@ -119,15 +119,15 @@ class LogCheck(Answer):
             for k, name in enumerate(stated.names)])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Whether the logs can be used, and which masses they would determine."""
         counts = self.identifiability
         detail = (f"{counts.rank} of {self.rough.structural.rank} base parameters, "
                   f"{counts.count(FULL)} parameters alone and {counts.count(COMBINATION)} in combinations")
-        logs = tuple(Use(Purpose.LOGS, data.log.path or data.log.name, Usable.YES, condition=detail)
+        logs = tuple(Claim(Purpose.LOG, data.log.path or data.log.name, Usable.YES, condition=detail)
                      for data in self.problem.experiments)
-        masses = [usability.expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS]
-        return (*logs, *sorted(masses, key=lambda use: np.inf if use.part is None else use.part))
+        masses = [claims.expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS]
+        return (*logs, *sorted(masses, key=lambda claim: np.inf if claim.part is None else claim.part))
 
     @cached_property
     def next_steps(self) -> tuple[NextStep, ...]:

@@ -14,11 +14,11 @@ from scipy.linalg import block_diag
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import IdentifiabilityError, ProblemError, SolverError
+from hydroopt.estimation.dynamic.claims import scale_assumed
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, rounded
 from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
 from hydroopt.estimation.dynamic.training_logs import explained
-from hydroopt.estimation.dynamic.usability import scale_assumed
 from hydroopt.estimation.inference.band_variances import f_test, students
 from hydroopt.estimation.inference.conditions import consistency, scaled_bodies
 from hydroopt.estimation.inference.convex_program import cones, nearest_point
@@ -37,7 +37,7 @@ from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, with_limits
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable, judged
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
@@ -146,25 +146,25 @@ class Payload(SessionAnswer):
         return (*self.of_logs, *partly, *scale)
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well the load is weighed, and where its centre of mass lies."""
         condition = f"95 % interval; forces read to scale {'as estimated' if self.gains else 'exactly'}"
         return tuple(self._use(one, condition) for one in (self.mass, *self.com))
 
-    def _use(self, one: Quantity, condition: str) -> Use:
+    def _use(self, one: Quantity, condition: str) -> Claim:
         half = (one.ci95[1] - one.ci95[0]) / 2
         if self.p_value > NO_LOAD:
-            return Use(Purpose.LOAD, one.name, Usable.UNTESTED, reason="no load was detected")
+            return Claim(Purpose.LOAD, one.name, Usable.UNTESTED, reason="no load was detected")
         if not one.identifiable or not np.isfinite(half):
-            return Use(Purpose.LOAD, one.name, Usable.NO, reason="not determined by these motions")
+            return Claim(Purpose.LOAD, one.name, Usable.NO, reason="not determined by these motions")
         if one.name != self.mass.name:
-            return Use(Purpose.LOAD, one.name, Usable.YES, half, one.unit, condition=condition)
+            return Claim(Purpose.LOAD, one.name, Usable.YES, half, one.unit, condition=condition)
         return judged(Purpose.LOAD, one.name, half, one.unit, half / abs(one.value), condition=condition)
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would weigh the load better."""
-        if self.p_value > NO_LOAD or all(use.usable is Usable.YES for use in self.uses):
+        if self.p_value > NO_LOAD or all(claim.usable is Usable.YES for claim in self.claims):
             return ()
         return (NextStep(Action.DRIVE, "Drive the same motion, reversing all joints, longer, with and without the "
                                        "load."),)

@@ -27,7 +27,7 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning, listed, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.support.input_file import similar
 from hydroopt.support.progress import Progress, silent
 from hydroopt.units import in_print
@@ -205,7 +205,7 @@ class SessionComparison(SessionAnswer):
         return tuple(found)
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """On which changes the sessions decide: from which size on they show one, where none is stated."""
         return tuple(_use(one) for one in self.differences)
 
@@ -213,7 +213,7 @@ class SessionComparison(SessionAnswer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """What to check, or what to drive to see more."""
         changed = [one.name for one in self.differences if one.changed]
-        hidden = [use.subject for use in self.uses if use.usable is Usable.NO]
+        hidden = [claim.of for claim in self.claims if claim.usable is Usable.NO]
         steps = []
         if changed:
             steps.append(NextStep(Action.CHECK, (
@@ -252,10 +252,10 @@ class SessionComparison(SessionAnswer):
         return {"comparison.csv": csv_text([with_limits(line) for line in lines]), "sessions.csv": csv_text(values)}
 
 
-def _use(one: Difference) -> Use:
+def _use(one: Difference) -> Claim:
     if not one.identifiable or not np.isfinite(one.largest_detectable):
-        return Use(Purpose.CHANGES, one.name, Usable.NO, reason="the logs do not show its change by itself")
-    return Use(Purpose.CHANGES, one.name, Usable.YES, None if one.changed else one.largest_detectable, one.unit,
+        return Claim(Purpose.CHANGE, one.name, Usable.NO, reason="the logs do not show its change by itself")
+    return Claim(Purpose.CHANGE, one.name, Usable.YES, None if one.changed else one.largest_detectable, one.unit,
                condition="" if one.changed else "the change that shows with a probability of 95 %")
 
 

@@ -23,7 +23,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Use, judged
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, judged
 from hydroopt.spatial.inertia import Array
 
 MISFIT = 1.5
@@ -184,12 +184,12 @@ class HydraulicEstimate(Answer):
             for k, name in enumerate(stated.names)])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Which channels a run from the commands alone follows."""
         held_out = self.fit.get("validation")
         condition = "RMS of a free run from commands alone over a held-out log" if held_out else ""
         untested = "" if held_out else "no log was held out"
-        return tuple(judged(Purpose.VALVES, channel, fit.rms, fit.unit, fit.of_range or 0.0, condition=condition,
+        return tuple(judged(Purpose.VALVE, channel, fit.rms, fit.unit, fit.of_range or 0.0, condition=condition,
                             untested=untested) for channel, fit in (held_out or self.fit["train"]).items())
 
     @property

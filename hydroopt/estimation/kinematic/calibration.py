@@ -49,7 +49,7 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
 from hydroopt.results.tables import COVARIANCE, covariance_csv, csv_text, number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable, determined, judged
 from hydroopt.spatial.inertia import Array
 
 
@@ -116,20 +116,20 @@ class Calibration(KinematicSolution, Answer):
         return ParameterTable(rows)
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well it places the machine's end, and which dimensions the poses determine."""
         held_out = "no held-out poses" if self.problem.validation is None else "tested on held-out poses"
         if self.tested is not None:
             held_out = f"errors of held-out poses {self.tested.ratio:.2g} times those stated"
-        return (self._end(held_out), *(determined(Purpose.DIMENSIONS, each, condition="95 % intervals",
+        return (self._end(held_out), *(determined(Purpose.LENGTH, each, condition="95 % intervals",
                                   unknown="not determined by the poses") for each in self.parameters.rows))
 
-    def _end(self, held_out: str) -> Use:
+    def _end(self, held_out: str) -> Claim:
         """How well it places the machine's end."""
         workspace = self.workspace
         exact = ", ".join(workspace.exact)
         if not workspace.moved:
-            return Use(Purpose.POSITION, workspace.point, Usable.UNTESTED, reason=(
+            return Claim(Purpose.POSITION, workspace.point, Usable.UNTESTED, reason=(
                 f"the machine file states no sigma of {exact or 'any number that moves it'}"))
         half, extent = NORMAL * workspace.largest_std, float(np.linalg.norm(np.ptp(workspace.position, axis=0))) / 2
         return judged(
@@ -151,8 +151,8 @@ class Calibration(KinematicSolution, Answer):
                                   "predicted better:", self.command_line.again("--compliance", "auto")))
         if self.problem.validation is None:
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
-        if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
-                    and self.category(use.subject) == FULL]:  # of the others, more poses may tell nothing either
+        if weak := [claim.of for claim in self.claims if claim.usable is Usable.NO and claim.purpose is Purpose.LENGTH
+                    and self.category(claim.of) == FULL]:  # of the others, more poses may tell nothing either
             steps.append(NextStep(Action.MEASURE, f"For {weak[0]}, plan more poses and measure them:", (
                 f"hydroopt plan-poses {self.problem.model.machine.source} --focus {weak[0]} -n 20 -o poses")))
         if not self.workspace.moved and self.workspace.exact:

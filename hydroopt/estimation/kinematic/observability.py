@@ -155,6 +155,11 @@ class Observability:
     information: Array
     prior: Array
 
+    @property
+    def priors_as_data(self) -> Observability:
+        """The same where priors count as data: it identifies what these determine, too."""
+        return Observability(self.names, self.scale, self.information + self.prior, 0 * self.prior)
+
     @cached_property
     def _normalised(self) -> tuple[Array, Array, Array]:
         size = np.sqrt(np.diag(self.information))

@@ -11,7 +11,8 @@ import numpy as np
 from hydroopt.errors import HydrooptError, SolverError
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.problem import Readings, SensorProblem, fit_motion
-from hydroopt.logs.recording import ChannelGroup, Recording
+from hydroopt.logs.log import Log
+from hydroopt.logs.recording import Recording
 from hydroopt.machine.sensors import ACCELEROMETER, GYROSCOPE
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.spatial.inertia import Array
@@ -135,8 +136,8 @@ def _short(problem: SensorProblem) -> SensorProblem:
             every = max(1, round(1 / (RATE * group.step)))
             keep = np.flatnonzero(group.t <= begin + SHORT)[::every]
             if len(keep) > 1:
-                groups.append(ChannelGroup(group.name, group.t[keep], {
-                    name: values[keep] for name, values in group.channels.items()}, group.units))
+                groups.append(Log(group.name, group.t[keep], {
+                    name: values[keep] for name, values in group.channels.items()}, units=group.units))
         logs.append(replace(log, groups=tuple(groups)))
     return replace(problem, logs=tuple(logs), poses=(), geometry=False)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs.clock import Clock
+from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
-from hydroopt.logs.recording import ChannelGroup
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.machine.sensors import Lag
@@ -143,7 +143,7 @@ def motion_channels(machine: Machine, channels: Collection[str]) -> tuple[str, .
     return tuple(found)
 
 
-def observations(machine: Machine, group: ChannelGroup, clock: Clock, where: str) -> Observations:
+def observations(machine: Machine, group: Log, clock: Clock, where: str) -> Observations:
     """What a group of channels with its clock says about the motion.
 
     Raises:

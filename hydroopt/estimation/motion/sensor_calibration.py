@@ -31,7 +31,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, determined
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable, determined
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, simulate
 from hydroopt.spatial.inertia import Array
 
@@ -233,18 +233,18 @@ class SensorCalibration(Answer):
                 "Drive other joints together, add postures at rest, or survey points of the tip.", Meaning.PROPERTY)
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Which corrections of sensors, and which dimensions, the data determine."""
         imus, numbers = {imu.name for imu in self.problem.machine.imus}, self.problem.machine.numbers
         return tuple(determined(
-            Purpose.SENSORS if name not in numbers or name.partition(".")[0] in imus else Purpose.DIMENSIONS, each,
+            Purpose.SENSOR if name not in numbers or name.partition(".")[0] in imus else Purpose.LENGTH, each,
             condition="95 % intervals", unknown="hardly determined by motion and postures")
             for name, each in self.parameters.items())
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would determine more, or how to use it."""
-        weak = [use.subject for use in self.uses if use.usable is Usable.NO]
+        weak = [claim.of for claim in self.claims if claim.usable is Usable.NO]
         more = (NextStep(Action.DRIVE, f"For {weak[0]}, move its joint alone through its range, and rest in postures "
                                        "far apart."),) if weak else ()
         return (*more, NextStep(Action.USE, *self.using_machine))

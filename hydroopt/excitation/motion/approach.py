@@ -15,7 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.limits.limits import Limits
+from hydroopt.excitation.motion.basis import Spline
+from hydroopt.excitation.motion.problem import State
+from hydroopt.limits.limits import ROUNDING, Limits
 from hydroopt.machine.machine import Machine
 from hydroopt.results.readable import readable
 from hydroopt.simulation.passive_joints import passive_motion
@@ -34,8 +36,6 @@ SHORTCUTS, SLOWER, ROUNDS = 60, 1.4, 14
 """How many shortcuts are tried; the factor of time by which an edge that breaks a limit is slowed, and how often."""
 BACK_OFF = 0.004
 """Part of a limit's scale that postures on the way keep beyond it."""
-ROUNDING = 1e-9
-"""Part of a limit's scale by which the start may be exceeded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,16 +148,12 @@ class _Search:
     def found(self, rate: float) -> Approach:
         """The approach at some samples per second."""
         path = self._shortened(self._path())
-        t, q, qd, qdd, arrivals = [np.zeros(1)], [path[:1]], [0 * path[:1]], [0 * path[:1]], [0.0]
-        for one, other in pairwise(path):
-            timed = self._timed(one, other, rate)
-            t.append(arrivals[-1] + timed.t[1:])
-            q.append(timed.q[1:])
-            qd.append(timed.qd[1:])
-            qdd.append(timed.qdd[1:])
-            arrivals.append(float(t[-1][-1]))
-        whole = Trajectory(np.concatenate(t), np.concatenate(q), np.concatenate(qd), np.concatenate(qdd))
-        return Approach(path, np.array(arrivals), whole, self.short)
+        edges = [self._timed(one, other, rate) for one, other in pairwise(path)]
+        arrivals = np.cumsum([0.0, *(each.t[-1] for each in edges)])
+        times = [at + each.t for at, each in zip(arrivals, edges, strict=False)]
+        t, q, qd, qdd = (np.concatenate([some[0][:1], *(each[1:] for each in some)]) for some in (
+            times, *([getattr(each, key) for each in edges] for key in State._fields)))
+        return Approach(path, arrivals, Trajectory(t, q, qd, qdd), self.short)
 
     def _path(self) -> Array:
         if self._free(self.start, self.goal):
@@ -223,17 +219,13 @@ class _Search:
         speed, acceleration = (np.array([PACE * (getattr(joint, key) or UNSTATED * size) for joint, size
                                          in zip(joints, self.size, strict=True)])
                                for key in ("max_speed", "max_acceleration"))
-        # a step of the fifth degree has the speed 1.875 and the acceleration 5.774 at most
+        # a spline of one piece has the speed 1.875 and the acceleration 5.774 at most, in units of way and duration
         duration = max(float(np.max(1.875 * np.abs(change) / speed)),
                        float(np.sqrt(np.max(5.774 * np.abs(change) / acceleration))), 2 / rate)
         for _ in range(ROUNDS):
-            count = int(np.ceil(duration * rate)) + 1
-            t = np.arange(count) / rate
-            s, end = t / t[-1], t[-1]
-            states = [one + np.outer(shape, change) for shape in (s**3 * (10 + s * (6 * s - 15)),)]
-            states += [np.outer(shape, change) for shape in (30 * s**2 * (1 - s) ** 2 / end,
-                                                             60 * s * (1 - s) * (1 - 2 * s) / end**2)]
-            moved = passive_motion(model, t, (states[0], states[1], states[2]), model.parameters.nominal)
+            t = np.arange(int(np.ceil(duration * rate)) + 1) / rate
+            states = State(*(part @ np.array([one, other]) for part in Spline(float(t[-1]), 1).rows(t)))
+            moved = passive_motion(model, t, states, model.parameters.nominal)
             if self._kept(self.limits.values(*moved)):
                 return Trajectory(t, *moved)
             duration *= SLOWER

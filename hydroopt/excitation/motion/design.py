@@ -133,7 +133,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, searc
                            remedy="give at least one start, one process and some seconds")
     at_rest = resting_posture(problem, np.random.default_rng(seed))
     kept = min(max(-(-starts // PART), FEWEST), starts)
-    end = np.inf if search_seconds is None else time.time() + search_seconds
+    end = np.inf if search_seconds is None else time.monotonic() + search_seconds
     best, done = dict.fromkeys(CRITERIA, np.inf), 0.0
 
     def report(start: int, criterion: str, value: float | None) -> None:
@@ -150,16 +150,18 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, searc
         begun = [each for each in run(_begun, [(seed, start) for start in range(starts)]) if each is not None]
         begun.sort(key=lambda each: each.search.value)
         found = run(_ended, begun[:kept])
-        stopped = "by Ctrl-C" if interrupted() else f"after {search_seconds:g} s" if time.time() > end else ""
+        ended = interrupted()
+        stopped = "by Ctrl-C" if ended else f"after {search_seconds:g} s" if time.monotonic() > end else ""
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
         best_first = [Excitation(problem, x, seed, starts, stopped)
                       for x, _ in sorted(moving, key=lambda each: each[1])]
         return _least_smoothed(best_first).within_limits(at_rest)
-    if stopped:
+    if ended:
         raise KeyboardInterrupt
+    tried = f"tried in {search_seconds:g} s" if stopped else "tried"
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
-                       "tried, however small", where="excitation",
+                       f"{tried}, however small", where="excitation",
                        remedy="correct these limits in the machine file, keep smaller reserves, or give more time")
 
 
@@ -180,15 +182,10 @@ def _least_smoothed(found: Sequence[Excitation]) -> Excitation:
 
 @dataclass(frozen=True)
 class _Stop:
-    """When a search ends early: Ctrl-C, and a value of ``time.monotonic()``."""
+    """When a search ends early: Ctrl-C, and a value of ``time.monotonic()``, which processes share."""
 
     interrupted: Callable[[], bool]
     end: float
-
-    @classmethod
-    def at(cls, interrupted: Callable[[], bool], end: float) -> _Stop:
-        """At a value of ``time.time()``, which processes share."""
-        return cls(interrupted, end - time.time() + time.monotonic())
 
     def __call__(self) -> bool:
         return self.interrupted() or time.monotonic() > self.end
@@ -247,7 +244,7 @@ class _Worker:
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, end: float, stop: Event,
               values: Queue[tuple[int, str, float | None]]) -> None:
-        cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop.at(stop.is_set, end), values
+        cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop(stop.is_set, end), values
 
     @classmethod
     def do(cls, work: Callable[..., T], given: object) -> T:
@@ -260,10 +257,8 @@ def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float
              interrupted: Callable[[], bool], report: Report) -> Iterator[Callable[..., list[Any]]]:
     """A function that does some work with each of some things, here or in so many processes; results in their order."""
     if processes == 1:
-        stop = _Stop.at(interrupted, end)
-        # the matrices are too small for threads
-        with threadpool_limits(limits=1, user_api="blas"):
-            yield lambda work, things: [work(problem, rest, each, stop, report) for each in things]
+        with threadpool_limits(limits=1, user_api="blas"):  # the matrices are too small for threads
+            yield lambda work, things: [work(problem, rest, each, _Stop(interrupted, end), report) for each in things]
         return
     context = get_context("spawn")
     cancelled, values = context.Event(), context.Queue()

@@ -13,13 +13,13 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.estimation.dynamic.usability import expected_mass
+from hydroopt.estimation.dynamic.claims import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.approach import Approach, approach, start_of
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion, resting_posture, shrunk
-from hydroopt.limits.limits import Course, UseOfLimit, courses
+from hydroopt.limits.limits import TIGHT, Course, UseOfLimit, courses
 from hydroopt.limits.watch import Watch, reach, watch
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.table import encoded_columns
@@ -34,7 +34,7 @@ from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.readable import percentage
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -46,8 +46,6 @@ SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 UNIMPROVED = 0.9
 """A parameter whose standard deviation stays above this part of what it was before is not improved."""
-TIGHT = 0.02
-"""Part of a limit's range below which no room is left."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -184,13 +182,13 @@ class Excitation(Answer):
                 f"to {100 * float(np.median(sharper)):.2g} % of their standard deviation before; {random}.")
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """That it keeps the limits, and which masses an identification from it will determine."""
         tight = min(self.limits, key=lambda use: use.part, default=None)
         condition = "all limits are kept, with their reserves" + (
             f"; the least room is that of {tight.name}, {percentage(max(tight.part, 0.0))}" if tight else "")
         masses = (expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS)
-        return (Use(Purpose.DRIVING, "", Usable.YES, condition=condition), *masses)
+        return (Claim(Purpose.DRIVING, "", Usable.YES, condition=condition), *masses)
 
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
@@ -267,8 +265,9 @@ class Excitation(Answer):
         more, as of pressures.
 
         Raises:
-            ProblemError: passive joints swing beyond limits.
+            ProblemError: the pace is not above 0 and at most 1, or passive joints swing beyond limits.
         """
+        refuse_pace(pace)
         if pace == 1:
             return self
         own = self.problem
@@ -436,6 +435,17 @@ class Excitation(Answer):
         """
         criterion, other = self.problem.information.criterion, self.best_random.value
         return float(np.exp((other - self.value) / (1.0 if criterion == "condition" else 2.0)))
+
+
+def refuse_pace(pace: float) -> None:
+    """Refuse a part of the pace that is not above 0 and at most 1.
+
+    Raises:
+        ProblemError: it is not.
+    """
+    if not 0 < pace <= 1:
+        raise ProblemError(f"a motion cannot be driven at {100 * pace:.4g} % of its speed", where="--speed",
+                           remedy="give more than 0 and at most 100 %, such as '50 %'")
 
 
 def _unlimited(machine: Machine) -> tuple[str, ...]:

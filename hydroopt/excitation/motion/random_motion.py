@@ -7,12 +7,11 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.limits.limits import TIGHT
 from hydroopt.spatial.inertia import Array
 
 RESTING_POSTURES = 2000
 """Random postures among which the resting posture is chosen."""
-TIGHT = 0.02
-"""Part of a limit's scale within which it counts as active."""
 
 
 def resting_posture(problem: ExcitationProblem, rng: np.random.Generator) -> Array:

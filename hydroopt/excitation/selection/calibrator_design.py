@@ -32,7 +32,7 @@ from hydroopt.machine.machine_file import dump_machine
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable
 from hydroopt.support.progress import Progress, silent
 
 PART = ("theta", "d", "a", "alpha")
@@ -167,9 +167,9 @@ class CalibratorDesign(PosePlan):
                 f"{worst} to {readable(self.length_deviations[worst], 'm')}.")
 
     @property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well each length will be known."""
-        return tuple(Use(Purpose.DIMENSIONS, name, Usable.YES, NORMAL * std, "m", condition=(
+        return tuple(Claim(Purpose.LENGTH, name, Usable.YES, NORMAL * std, "m", condition=(
             f"expected 95 % interval after {len(self.q)} poses")) for name, std in self.length_deviations.items())
 
     @property

@@ -31,10 +31,12 @@ from hydroopt.excitation.selection.calibrator_problem import (
     sizes,
 )
 from hydroopt.excitation.selection.candidate_postures import Sieve
-from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, calibration_of, pose_problem
+from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, Postures, pose_problem
 from hydroopt.limits.postures import LeftOut
+from hydroopt.limits.uncertain import TINY
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation import postures
+from hydroopt.simulation.postures import REACHED, RESERVE
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress
 
@@ -46,16 +48,12 @@ ASIDE, ROOM = float(np.radians(3.0)), 0.01
 """How far poses keep away from limits of joints [rad, m], and from all others (parts of a stroke, heights [m], the
 dexterity, turns [rad]), while sizes are found: the best poses lie at limits, and would be lost once sizes are
 rounded."""
-STROKE = 0.1
-"""Part of each stroke by which poses stay away from its ends."""
 DEXTERITY = 0.1
 """Least determinant of J·Jᵀ over the cube of its mean eigenvalue, J (3, r) the motion of the ball by the calibrator's
 joints: 1 where it moves alike in all directions, 0 in a singular pose."""
-TURN, CERTAINTY = 0.2, 3.0
-"""How far joints of the calibrator may turn, at most [rad], to reach the ball where the machine is so many standard
+TURN = 0.2
+"""How far joints of the calibrator may turn, at most [rad], to reach the ball where the machine is `REACHED` standard
 deviations off: a calibrator that is nearly stretched would not reach it."""
-TINY = 1e-12
-"""Variance [rad²] that keeps these turns differentiable where nothing is uncertain."""
 FEW, MANY = 16, 150
 """Closed postures of each group by which sizes are judged at first, and from which the best are taken."""
 SUPPORT = 12
@@ -70,7 +68,6 @@ ABOUT = float(np.radians(1.0))
 """Standard deviation [rad, m] of postures that are measured instead of one posture again and again."""
 DENSE = 4
 """Postures about one that are tried for each that is wanted."""
-RIGHT_ANGLE = 0.5 * np.pi
 POWER = 6.0
 """Exponent of the mean that stands for the largest variance."""
 
@@ -179,7 +176,7 @@ class Sizing:
     def random(self, rng: np.random.Generator) -> dict[str, float]:
         """Sizes and twists."""
         values = {size.name: float(rng.uniform(size.lower, size.upper)) for size in self.sizes}
-        return values | {name: RIGHT_ANGLE * int(rng.integers(2)) for name in self.twists}
+        return values | {name: np.pi / 2 * int(rng.integers(2)) for name in self.twists}
 
     def crossing(self, values: Mapping[str, float]) -> tuple[bool, ...]:
         """Which axes cross at right angles."""
@@ -275,7 +272,7 @@ class Sizing:
         each = 1 + any(group.drift for group in self.problem.groups)
         count = each * len(self.problem.groups)
         middle = np.tile(self.problem.model.ranges.mean(axis=1), (count, 1))
-        found = calibration_of(self.problem, middle, self.problem.labels(each))
+        found = Postures(self.problem, middle, self.problem.labels(each)).calibration
         where, which, factor = found.layout.locked
         drifts = np.array([kind is ParameterKind.DRIFT for kind in found.parameters.kinds])[which]
         spread = np.where(drifts, 0.5 + (factor - 0.5) / np.sqrt(3.0), factor)  # of even progress from 0 to 1
@@ -320,7 +317,7 @@ class Sizing:
         if machine.cylinders:
             stroke = ca.DM([each.stroke for each in machine.cylinders])
             out = model.strokes(g, q)[0] / stroke
-            rest += [out - STROKE, 1 - STROKE - out]
+            rest += [out - RESERVE, 1 - RESERVE - out]
         if machine.ground is not None and machine.calibrator is not None:
             ends = model.far_ends(g, q)[2, len(machine.ancestry(machine.calibrator.parent)) - 1 : -1]
             rest.append(ends.T - machine.ground - self.clearance)
@@ -328,7 +325,7 @@ class Sizing:
         rest.append(dexterity(motion) - DEXTERITY)
         moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.uncertain))
         turned = motion.T @ ca.solve(motion @ motion.T, moved)
-        rest.append(TURN - CERTAINTY * ca.sqrt(ca.sum2(turned**2) + TINY))
+        rest.append(TURN - REACHED * ca.sqrt(ca.sum2(turned**2) + TINY))
         return ca.Function("bounded", [theta, q], [gap[closes], ca.vertcat(*rest)], ["theta", "q"], ["gap", "rest"])
 
     def criterion(self, theta: Any, q: Sequence[Any], share: Sequence[Any]) -> Any:

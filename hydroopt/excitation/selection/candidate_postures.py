@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, measured_along
+from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseProblem, Postures, measured_along
 from hydroopt.limits.postures import LeftOut, PostureLimits
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
@@ -23,22 +23,21 @@ from hydroopt.support.progress import Progress, silent
 TRIES, RARE = 30, 200
 """Random postures of which at least one must close within its limits; of those that close one must keep the reserves.
 """
-DRAWN = 0.4
-"""Part of the work that is done once postures are drawn."""
 BATCH = 500
 """Random postures tried at once, at least."""
 
 
 def random_candidates(problem: PoseProblem, count: int, rng: np.random.Generator,
-                      progress: Progress = silent) -> tuple[Array, LeftOut]:
-    """Random closed postures (G, count, n) of all groups, see `candidate_postures`, and how many reserves left out."""
+                      progress: Progress = silent) -> tuple[Postures, LeftOut]:
+    """So many random closed postures of each group, one group after another, see `candidate_postures`, and how many
+    reserves left out."""
     drawn, left_out = [], LeftOut()
     for k, group in enumerate(problem.groups):
-        progress(f"drawing postures for {group}", DRAWN * k / len(problem.groups))
+        progress(f"drawing postures for {group}", 0.5 * k / len(problem.groups))
         q, out = candidate_postures(problem, group, count, rng)
         drawn.append(q)
         left_out = left_out.with_more(out)
-    return np.array(drawn), left_out
+    return Postures(problem, np.concatenate(drawn), problem.labels(count)), left_out
 
 
 def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,

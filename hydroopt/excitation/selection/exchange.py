@@ -17,16 +17,14 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.observability import SHARE, Observability, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.criteria import FAINT, scores
-from hydroopt.excitation.selection.candidate_postures import DRAWN, in_passes, in_safe_order, random_candidates
+from hydroopt.excitation.selection.candidate_postures import in_passes, in_safe_order, random_candidates
 from hydroopt.excitation.selection.pose_plan import PosePlan
-from hydroopt.excitation.selection.pose_problem import PoseProblem, linearised, measured_along
+from hydroopt.excitation.selection.pose_problem import PoseProblem, Postures, measured_along
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
 
-HELPS = 1e-9
-"""Relative gain of the criterion from which on an exchange of two poses helps."""
-CHOSEN, EXCHANGED = 0.6, 0.95
-"""Parts of the work that are done once the first poses are chosen, and once none is exchanged."""
+HELPS = 1e-6
+"""Relative gain of the criterion from which on an exchange helps."""
 PASSES = (2, 3, 4, 6, 8)
 """Ways there or back that are tried where locked joints drift."""
 
@@ -51,7 +49,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         raise ProblemError(f"{problem.count} poses cannot be chosen from {candidates} candidates", where="pose plan",
                            remedy="ask for fewer poses or more candidates")
     found, left_out = random_candidates(problem, candidates, np.random.default_rng(seed), progress)
-    q = best_poses(problem, found, progress)
+    q = best_poses(problem, found.q.reshape(len(problem.groups), candidates, -1), progress)
     return PosePlan(problem, candidates, seed, problem.labels(problem.count), q, left_out)
 
 
@@ -64,7 +62,7 @@ def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
     focus; by default their scales.
     """
     chosen = _Design(problem, found, units).best(problem.count, progress)
-    progress("finding the order of measuring", EXCHANGED)
+    progress("finding the order of measuring", 1.0)
     groups = found[chosen].reshape(len(found), -1, found.shape[2])
     drifting = [k for k, group in enumerate(problem.groups) if group.drift]
     best = groups.copy()
@@ -94,15 +92,15 @@ class _Design:
     """
 
     def __init__(self, poses: PoseProblem, found: Array, units: Mapping[str, float] | None) -> None:
-        problem, linear = linearised(poses, np.concatenate(found), poses.labels(found.shape[1]))
+        problem, linear = Postures(
+            poses, np.concatenate(found), poses.labels(found.shape[1])).linearised()
         self.criterion, groups = poses.criterion, len(found)
         free = np.flatnonzero(problem.free)
         if not np.any(linear.jacobian[:, :, free]):
             raise ProblemError("no pose identifies any of the free parameters", where="pose plan",
                                remedy="fix fewer, or state the confidence of lengths and angles in the machine file")
         data = observability(problem, linear)
-        # poses need not identify what priors determine
-        total = Observability(data.names, data.scale, data.information + data.prior, 0 * data.prior)
+        total = data.priors_as_data  # poses need not identify what priors determine
         basis = total.identifiable
         factor = np.linalg.cholesky(basis.T @ total.information @ basis / len(linear.rank))
         to_w = basis @ np.linalg.inv(factor).T
@@ -146,10 +144,10 @@ class _Design:
             return np.where(chosen[group], -np.inf, found)
 
         for k in range(count):
-            progress(f"choosing pose {k + 1} of {count}", DRAWN + (CHOSEN - DRAWN) * k / count)
+            progress(f"choosing pose {k + 1} of {count}", 0.5 + 0.5 * k / count)
             for group, taken in enumerate(chosen):
                 taken[np.argmax(score(group))] = True
-        progress("exchanging poses until none helps", CHOSEN)
+        progress("exchanging poses until none helps", 1.0)
         helped = True
         while helped:
             helped = False

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydroopt.estimation.dynamic.usability import POSTURES, RANGE, WEIGHED, load_effect
+from hydroopt.estimation.dynamic.claims import POSTURES, RANGE, WEIGHED, load_effect
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.model.model import Model
@@ -104,7 +104,7 @@ def force_goal(model: Model, by_geometry: ByGeometry, states: Sequence[Array], t
     driven = size > 1e-6 * np.max(size)
     rows = np.concatenate([by_geometry(*states), K], axis=2)[:, driven] / size[driven, None]
     rows = rows.reshape(-1, rows.shape[2]) / np.sqrt(rows.shape[0] * rows.shape[1])
-    return Goal(Purpose.FORCES, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
+    return Goal(Purpose.FORCE, "", "1", target, np.asarray(np.linalg.qr(rows, mode="r")))
 
 
 def load_goal(model: Model, by_geometry: ByGeometry, motion: Trajectory, target: float) -> LoadGoal:

@@ -22,22 +22,22 @@ from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.criteria import gains
 from hydroopt.excitation.selection.candidate_postures import random_candidates
+from hydroopt.excitation.selection.exchange import HELPS
 from hydroopt.excitation.selection.pose_plan import PosePlan
-from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, PoseLabels, PoseProblem, pose_problem
+from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, PoseProblem, Postures, pose_problem
 from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Reading, readings, tip_rows
 from hydroopt.limits.reserves import DEFAULT, Reserves
+from hydroopt.limits.watch import in_print
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.results.readable import readable
 from hydroopt.results.tables import number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
 
 Chosen = NDArray[np.bool_]
 """Which of R readings are taken in which of N candidate postures, (N, R)."""
-HELPS = 1e-6
-"""Part by which an exchange that saves no minutes must lower the tip's variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +173,7 @@ class MeasureUpPlan(PosePlan):
     @cached_property
     def calibration(self) -> CalibrationProblem:
         """The calibration problem of the table that is filled in with what the nominal geometry would give."""
-        there = PostureReadings(self.problem, self.readings, self.q, self.labels)
+        there = PostureReadings(self._driven, self.readings)
         return there.reading(np.arange(len(self.q)), self.taken)
 
     @property
@@ -198,9 +198,9 @@ class MeasureUpPlan(PosePlan):
                 *(channel for each in self.readings if not each.by_hand for channel in each.channels))
 
     @property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How well the tip will be known."""
-        return (Use(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
+        return (Claim(Purpose.POSITION, "tip", Usable.YES, NORMAL * self.tip, "m", condition=(
             f"expected 95 % interval over the workspace after {self._effort}")),)
 
     @property
@@ -225,9 +225,7 @@ class MeasureUpPlan(PosePlan):
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: where to drive, what to read there, and what to expect."""
-        text = [f"{self._effort} for {self.machine.name}: about {self.minutes:.0f} min. The tip is then known to "
-                f"{readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}."]
-        text += ["", self.watch.list, "", self.left_out.sentence, self.ways]
+        text = [self.left_out.sentence, self.ways]
         if self.by_themselves:
             text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
         read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]
@@ -240,22 +238,22 @@ class MeasureUpPlan(PosePlan):
                                        zip(self.labels._fields, group, strict=True) if value)]
             before = group
             places = ", ".join(f"{joint} {texts[k]} {unit}" for joint, (unit, texts) in printed.items())
-            lengths = ", ".join(f"{cylinder.name} {1e3 * length:.0f} mm" for cylinder, length in
-                                zip(self.machine.cylinders, self.lengths[k], strict=True))
+            lengths = ", ".join(" ".join((cylinder.name, *in_print(length, "m"))) for cylinder, length in
+                                zip(self.machine.cylinders, self.lengths[k].tolist(), strict=True))
             text += ["", f"posture {k + 1}: {places or lengths}"]
             text += [f"  read {each.name}{self._expected(each, k)}"
                      for each, there in zip(self.readings, self.taken[k], strict=True) if there and each.by_hand]
-        return "\n".join(text) + "\n"
+        about = (f"{self._effort} for {self.machine.name}: about {self.minutes:.0f} min. The tip is then known to "
+                 f"{readable(self.tip, 'm')}, now to {readable(self.tip_before, 'm')}.")
+        return self.watch.sheet(about, *text)
 
     def _expected(self, reading: Reading, k: int) -> str:
         """The values that the nominal geometry gives; none where the instrument's place is not known."""
         if reading.owner in self.calibration.model.instruments:
             return ""
         expected = self.calibration.poses
-        values = [(channel.rpartition(".")[2], float(expected.channels[channel][k]), expected.units[channel])
-                  for channel in reading.channels]
-        return ": " + ", ".join(f"{name} {1e3 * value:.0f} mm" if unit == "m" else f"{name} {np.degrees(value):.1f} deg"
-                         if unit == "rad" else f"{name} {value:.4g} {unit}" for name, value, unit in values)
+        return ": " + ", ".join(" ".join((channel.rpartition(".")[2], *in_print(
+            float(expected.channels[channel][k]), expected.units[channel]))) for channel in reading.channels)
 
 
 def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: int = 0,
@@ -271,8 +269,8 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
     Raises:
         ProblemError: no posture lies within the limits, or no choice reaches the accuracy.
     """
-    q, left_out = random_candidates(problem.poses, candidates, np.random.default_rng(seed), progress)
-    choice = _Choice(problem, np.concatenate(q), problem.poses.labels(candidates))
+    drawn, left_out = random_candidates(problem.poses, candidates, np.random.default_rng(seed), progress)
+    choice = _Choice(problem, drawn)
     before, reachable = (np.sqrt(choice.variance(choice.postures.information(read)))
                          for read in (choice.nothing, choice.postures.there))
     if before <= problem.tip:
@@ -289,21 +287,21 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
     progress("exchanging postures until none helps", 0.5)
     chosen = choice.exchanged(chosen)
     places = np.flatnonzero(chosen.any(axis=1))
+    driven = drawn.at(places)
     return MeasureUpPlan(
-        problem.poses, candidates, seed, PoseLabels(*(each[places] for each in choice.postures.labels)),
-        choice.postures.q[places], left_out, problem.readings, chosen[places], problem.tip,
-        float(np.sqrt(choice.variance(choice.postures.information(chosen)))), float(before))
+        problem.poses, candidates, seed, driven.labels, driven.q, left_out, problem.readings, chosen[places],
+        problem.tip, float(np.sqrt(choice.variance(choice.postures.information(chosen)))), float(before))
 
 
 class _Choice:
     """What may be chosen among the readings of N candidate postures, and what it is worth."""
 
-    def __init__(self, problem: MeasureUpProblem, q: Array, labels: PoseLabels) -> None:
+    def __init__(self, problem: MeasureUpProblem, postures: Postures) -> None:
         self.target = problem.tip**2
-        self.postures = PostureReadings(problem.poses, problem.readings, q, labels)
+        self.postures = PostureReadings(postures, problem.readings)
         self.by_hand = np.array([each.by_hand for each in problem.readings])
         self.minutes = np.array([each.minutes for each in problem.readings])
-        self.touching = labels.touch[:, None] == np.array([each.name for each in problem.readings])
+        self.touching = postures.labels.touch[:, None] == np.array([each.name for each in problem.readings])
         self.nothing = np.zeros_like(self.postures.there)
         self.task = tip_rows(self.postures.calibration)[:, self.postures.free]
 

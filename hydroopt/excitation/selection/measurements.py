@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
 from hydroopt.excitation.selection.goals import ByGeometry, LoadGoal
-from hydroopt.excitation.selection.pose_problem import PoseLabels
+from hydroopt.excitation.selection.pose_problem import Postures
 from hydroopt.excitation.selection.readings import DRIVE, SET_UP, PostureReadings
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
@@ -66,8 +66,7 @@ class Measurement:
         minutes: of each part.
         rows: (K, u, w) what each of K parts says about w of all numbers, with errors independent and of variance 1.
         own: (w,) places of these numbers.
-        q: (K, n) postures [rad, m] of the parts, of `joints`; None where they have none.
-        labels: what these postures belong to.
+        postures: of the K parts; None where they have none.
         motions: of the parts, where these are motions.
         geometry_exact: whether they are identified with the geometry known so far.
         use: what to do with what was measured.
@@ -82,9 +81,7 @@ class Measurement:
     minutes: float
     rows: Array
     own: NDArray[np.intp]
-    q: Array | None = None
-    joints: tuple[str, ...] = ()
-    labels: PoseLabels | None = None
+    postures: Postures | None = None
     motions: tuple[Trajectory, ...] = ()
     geometry_exact: bool = False
     use: str = ""
@@ -107,7 +104,7 @@ def pose_measurements(postures: PostureReadings, numbers: NDArray[np.intp],
     """Readings in postures: those of one instrument, tape, datum or IMU, or of the calibrator in one fixture; joints
     and transducers read along. Some are `added` by name to what the machine file states; `numbers` (f,) are the places
     of the geometry's among all."""
-    readings, labels = postures.readings, postures.labels
+    readings, labels = postures.readings, postures.postures.labels
     along = np.array([each.kind == "transducer" for each in readings], dtype=bool)
     fixed, touching = labels.fixture != "", labels.touch != ""
 
@@ -121,9 +118,8 @@ def pose_measurements(postures: PostureReadings, numbers: NDArray[np.intp],
         spent = DRIVE + float(sum(each.minutes for each, mine in zip(readings, own, strict=True) if mine))
         rows = postures.rows_of(places, postures.there[places] & (along | own))
         yield Measurement(name, text if addition is None else addition.text, SET_UP[kind], spent, rows, numbers,
-                          postures.q[places], postures.poses.model.joints,
-                          PoseLabels(*(np.asarray(each)[places] for each in labels)),
-                          file="" if addition is None else addition.file, use="with all poses as poses.csv, calibrate",
+                          postures.postures.at(places), file="" if addition is None else addition.file,
+                          use="with all poses as poses.csv, calibrate",
                           command="hydroopt calibrate {machine} poses.csv -o calibrated")
 
     none = np.zeros(len(readings), dtype=bool)

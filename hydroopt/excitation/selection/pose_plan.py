@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,11 +11,17 @@ import numpy as np
 
 from hydroopt.estimation.kinematic.observability import Observability, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.excitation.selection.pose_problem import PoseGroup, PoseLabels, PoseProblem, calibration_of
+from hydroopt.excitation.selection.pose_problem import (
+    PoseGroup,
+    PoseLabels,
+    PoseProblem,
+    Postures,
+    column_in_print,
+    csv_in_print,
+)
 from hydroopt.excitation.selection.readings import readings
-from hydroopt.limits.limits import courses
 from hydroopt.limits.postures import LeftOut
-from hydroopt.limits.watch import IN_PRINT, Watch, reach, watch
+from hydroopt.limits.watch import IN_PRINT, Watch, in_print
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.scene_graph import SceneGraph
@@ -23,12 +29,9 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
+from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, determined
 from hydroopt.spatial.inertia import Array
-
-STANDS = 1e-9
-"""Range [rad, m] over all poses below which a joint rests."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,7 +82,11 @@ class PosePlan(Answer):
     @cached_property
     def calibration(self) -> CalibrationProblem:
         """The calibration problem that measuring the poses without noise gives."""
-        return calibration_of(self.problem, self.q, self.labels)
+        return self._driven.calibration
+
+    @property
+    def _driven(self) -> Postures:
+        return Postures(self.problem, self.q, self.labels)
 
     @cached_property
     def observability(self) -> Observability:
@@ -89,8 +96,7 @@ class PosePlan(Answer):
     @cached_property
     def log_det(self) -> float:
         """Logarithm of the determinant of the scaled information over the identifiable directions."""
-        seen = self.observability
-        total = Observability(seen.names, seen.scale, seen.information + seen.prior, 0 * seen.prior)
+        total = self.observability.priors_as_data
         return float(np.linalg.slogdet(total.identifiable.T @ total.information @ total.identifiable)[1])
 
     @cached_property
@@ -132,10 +138,10 @@ class PosePlan(Answer):
             for k, name in enumerate(parameters.names)])
 
     @cached_property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """Which dimensions a calibration with these poses will determine."""
         without = "" if self.problem.priors else ", without the machine file's confidences (--priors)"
-        return tuple(determined(Purpose.DIMENSIONS, each, condition=f"expected 95 % intervals{without}",
+        return tuple(determined(Purpose.LENGTH, each, condition=f"expected 95 % intervals{without}",
                                 unknown="not determined by these poses")
                      for each in self.parameters.rows if each.identifiability != "fixed")
 
@@ -176,8 +182,7 @@ class PosePlan(Answer):
         """Poses to which joints must not all go straight from the one before, counted from 1, and the limits of the
         machine whose reserves that would use."""
         limits, found = self.problem.limits.while_resting(self.joints), dict[int, tuple[str, ...]]()
-        groups = [next(group for group in self.problem.groups if group.has(*(str(each[k]) for each in self.labels)))
-                  for k in range(len(self.q))]
+        groups = self._driven.groups
         held, closed = ([getattr(group, key)(self.machine) for group in groups] for key in ("held", "closed"))
         for k in range(1, len(self.q)):
             same = groups[k] is groups[k - 1]
@@ -197,24 +202,13 @@ class PosePlan(Answer):
     def postures(self) -> Poses:
         """All joint angles as a table of poses, those that no sensor reads too, and which datums are touched: where to
         drive."""
-        return self._table({f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.joints)} | self._touches)
+        return self._driven.table
 
     @property
     def poses(self) -> Poses:
         """The table to fill in, with the channels that are read: zero where a datum is touched, all else empty, so that
         no planned position passes for a reading."""
-        return self._table({name: np.full(len(self.q), np.nan) for name in self.problem.channels} | self._touches)
-
-    @property
-    def _touches(self) -> dict[str, Array]:
-        """Channels (N,) of datums: zero in the poses that touch them, else NaN."""
-        return {channel: np.where(self.labels.touch == each.name, 0.0, np.nan)
-                for each in self.problem.model.measurements if each.tool == "datum" for channel in each.channels}
-
-    def _table(self, channels: Mapping[str, Array]) -> Poses:
-        return Poses(name=f"plan for {self.machine.name}", stage=self.stage, fixture=self.fixture,
-                     setup=self.labels.setup, channels=channels,
-                     units={name: self.machine.channel_units[name] for name in channels})
+        return self._driven.table_of({name: np.full(len(self.q), np.nan) for name in self.problem.channels})
 
     def details(self) -> Mapping[str, Any]:
         """How the poses were chosen, and how well they condition the calibration."""
@@ -228,30 +222,18 @@ class PosePlan(Answer):
 
     def files(self) -> Mapping[str, str]:
         """Measuring sheet, table of poses to fill in, postures to drive to, and table of parameters."""
-        return {"sheet.txt": self.sheet(), "poses.csv": self._csv(self.poses),
-                "postures.csv": self._csv(self.postures), "parameters.csv": self.parameters.to_csv()}
+        return {"sheet.txt": self.sheet(), "poses.csv": csv_in_print(self.poses),
+                "postures.csv": csv_in_print(self.postures), "parameters.csv": self.parameters.to_csv()}
 
     @cached_property
     def watch(self) -> Watch:
         """What people beside the machine keep."""
-        limits, reserves = self.problem.limits, self.problem.reserves
-        at_rest = limits.while_resting([joint for k, joint in enumerate(self.joints)
-                                        if np.ptp(self.q[:, k]) < STANDS]).limits
-        held = {f"{group.held(self.machine)} above ground" for group in self.problem.groups}
-        q = self.q[:, limits.places]
-        uses = [each.use for each in courses(at_rest, q, 0 * q, 0 * q).values() if each.use.name not in held]
-        ends = limits.chain.over(limits.chain.far_ends, limits.chain.parameters.nominal, self.q)[0].transpose(0, 2, 1)
-        own = self.machine.calibrator
-        first = len(self.machine.ancestry(own.parent)) - 1 if own is not None else len(ends[0]) - 1
-        attached = np.linalg.norm(np.diff(ends[:, first:], axis=1), axis=2).sum(axis=1).max()
-        return watch(at_rest.model, reach(at_rest.model, q), uses, reserves, attached=float(attached))
+        return self._driven.watch
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: how far to stay away, what to lock, what to move where, what to read, and
         when to stop; in the units of the table to fill in."""
-        text = [f"{len(self.q)} poses for {self.machine.name}", "", self.watch.list,
-                "- Read only while the machine rests and its controls are locked; nobody stands below a raised part.",
-                "", self.left_out.sentence, self.ways]
+        text = [self.left_out.sentence, self.ways]
         for at, group in enumerate(self.problem.groups):
             rows = at * self.problem.count + np.arange(self.problem.count)
             columns: dict[str, list[str]] = {}
@@ -268,9 +250,7 @@ class PosePlan(Answer):
                      *(f"  read: {each}" for each in self._to_read(group)), "", "  pose  " + "  ".join(columns)]
             text += [f"  {k + 1:4d}  " + "  ".join(f"{printed[k]:>{len(title)}}" for title, printed in columns.items())
                      for k in rows]
-        if self.watch.stops:
-            text += ["", "Stop at once beyond these values.", self.watch.table]
-        return "\n".join(text) + "\n"
+        return self.watch.sheet(f"{len(self.q)} poses for {self.machine.name}", *text)
 
     def _to_read(self, group: PoseGroup) -> tuple[str, ...]:
         """What to read in each pose of a group: with what, of what, and the columns of the table that it fills."""
@@ -290,26 +270,25 @@ class PosePlan(Answer):
                 what = "tip, by the tracker"
             else:
                 what = f"{tools[each.kind]} {each.owner}{f': {target}' if target else ''}"
-            lines.append(f"{what} -> {', '.join(map(self._column, each.channels))}")
+            lines.append(f"{what} -> {self._columns(each.channels)}")
         joints = [name for name in self.problem.channels if name.endswith(".q")]
-        return (*([f"sensors of the joints -> {', '.join(map(self._column, joints))}"] if joints else []), *lines)
+        return (*([f"sensors of the joints -> {self._columns(joints)}"] if joints else []), *lines)
 
-    def _column(self, channel: str) -> str:
-        """Header of a channel in the table to fill in."""
-        unit = self.machine.channel_units[channel]
-        return f"{channel} [{IN_PRINT[unit][0] if unit in IN_PRINT else unit}]"
+    def _columns(self, channels: Iterable[str]) -> str:
+        """Headers of channels in the table to fill in."""
+        return ", ".join(column_in_print(name, self.machine.channel_units[name]) for name in channels)
 
     def _read_lengths(self, group: PoseGroup) -> list[tuple[str, str, list[str]]]:
         """Of the cylinders that move without their joint being read, or have a transducer: joint, title, texts (N,)."""
-        return [(joint, f"{cylinder.name} [mm]", [f"{1e3 * length:.0f}" for length in self.lengths[:, k]])
+        return [(joint, f"{cylinder.name} [mm]", [in_print(length, "m")[0] for length in self.lengths[:, k].tolist()])
                 for k, cylinder in enumerate(self.machine.cylinders)
                 if (joint := self.machine.main_joint(cylinder)) in group.moves
                 or f"{cylinder.name}.length" in self.problem.channels]
 
     def _printed(self, joint: str) -> tuple[str, list[str]]:
         """Unit and texts (N,) of a joint's variable."""
-        unit, factor, decimals = IN_PRINT[self.machine.channel_units[f"{joint}.q"]]
-        return unit, [f"{np.round(factor * value, decimals) + 0.0:.{decimals}f}" for value in self._positions(joint)]
+        unit = self.machine.channel_units[f"{joint}.q"]
+        return IN_PRINT[unit][0], [in_print(value, unit)[0] for value in self._positions(joint).tolist()]
 
     def _positions(self, joint: str) -> Array:
         """(N,) positions of a joint [rad, m], of a dependent one at the nominal geometry."""
@@ -318,11 +297,3 @@ class PosePlan(Answer):
         model = self.problem.model
         rows = model.over(model.observed, model.parameters.nominal, self.q, np.zeros((len(self.q), model.place_size)))
         return rows[0][:, model.channels.index(f"{joint}.q"), 0]
-
-    def _csv(self, poses: Poses) -> str:
-        """Text of a table in the sheet's units; cells are empty where nothing is known yet, and set-ups are left out
-        where there are none."""
-        setups = [{"setup": setup} for setup in poses.setup] if np.any(poses.setup != "") else [{}] * len(poses)
-        return csv_text([{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k], **setups[k],
-                          **{self._column(name): number(float(values[k]) * IN_PRINT.get(poses.units[name], ("", 1))[1])
-                             for name, values in poses.channels.items()}} for k in range(len(poses))])

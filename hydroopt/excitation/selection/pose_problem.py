@@ -8,19 +8,23 @@ from functools import cached_property
 from typing import NamedTuple, Never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.listing import named_row, table
 from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.excitation.criteria import refuse_criterion
+from hydroopt.limits.limits import courses
 from hydroopt.limits.postures import PostureLimits, held_link
 from hydroopt.limits.reserves import DEFAULT, Reserves
-from hydroopt.logs.poses import Texts
+from hydroopt.limits.watch import IN_PRINT, Watch, in_print, reach, watch
+from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.results.tables import csv_text, number
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.notebook_card import Shown
@@ -152,7 +156,8 @@ combinatorial and has no nonlinear or convex program; use hydroopt.solve.
 
     @cached_property
     def _one_pose_each(self) -> CalibrationProblem:
-        return calibration_of(self, np.tile(self.model.ranges.mean(axis=1), (len(self.groups), 1)), self.labels(1))
+        middle = np.tile(self.model.ranges.mean(axis=1), (len(self.groups), 1))
+        return Postures(self, middle, self.labels(1)).calibration
 
     def labels(self, count: int) -> PoseLabels:
         """Of so many poses of each group, the groups one after another."""
@@ -236,22 +241,98 @@ def expected_uncertainty(machine: Machine, q: Array, stage: Sequence[str] | Text
     problem = PoseProblem(machine, len(q), _groups(machine, None, ("",)), "D", (), priors, dict(fixed or {}))
     none = np.full(len(q), "")
     labels = PoseLabels(np.asarray(stage), np.asarray(fixture), none, none)
-    return observability(*linearised(problem, np.asarray(q), labels))
+    return observability(*Postures(problem, np.asarray(q), labels).linearised())
 
 
-def linearised(problem: PoseProblem, q: Array, labels: PoseLabels) -> tuple[CalibrationProblem, Linearised]:
-    """The calibration problem of postures (N, n), linearised about them at the nominal geometry."""
-    calibration = calibration_of(problem, q, labels)
-    return calibration, linearise(calibration, calibration.parameters.nominal, q)
+class Postures(NamedTuple):
+    """Some poses of a problem: N joint vectors of machine and calibrator, and what they belong to.
+
+    Attributes:
+        problem: which machine, groups and parameters.
+        q: (N, n) [rad, m].
+        labels: (N,) each.
+    """
+
+    problem: PoseProblem
+    q: Array
+    labels: PoseLabels
+
+    def at(self, places: Sequence[int] | NDArray[np.intp]) -> Postures:
+        """Those at some places (K,)."""
+        some = np.asarray(places, dtype=int)
+        return Postures(self.problem, self.q[some], PoseLabels(*(np.asarray(each)[some] for each in self.labels)))
+
+    @property
+    def groups(self) -> list[PoseGroup]:
+        """The group that each belongs to."""
+        return [next(group for group in self.problem.groups if group.has(*map(str, each)))
+                for each in zip(*self.labels, strict=True)]
+
+    @property
+    def calibration(self) -> CalibrationProblem:
+        """The calibration problem that measuring them without noise gives."""
+        model, labels = self.problem.model, self.labels
+        poses = postures.record(
+            model, self.q, labels.stage.tolist(), labels.fixture.tolist(), geometry=model.parameters.nominal,
+            channels=self.problem.channels, seed=None, name="plan", setup=labels.setup.tolist(),
+            touch=labels.touch.tolist())
+        return calibration_problem(model.machine, poses, fixed=self.problem.fixed, priors=self.problem.priors)
+
+    def linearised(self) -> tuple[CalibrationProblem, Linearised]:
+        """This problem, linearised about them at the nominal geometry."""
+        calibration = self.calibration
+        return calibration, linearise(calibration, calibration.parameters.nominal, self.q)
+
+    def table_of(self, channels: Mapping[str, Array]) -> Poses:
+        """A table of them with some channels (N,) [SI], and those of datums: zero where they are touched, else NaN."""
+        touched = {channel: np.where(self.labels.touch == each.name, 0.0, np.nan)
+                   for each in self.problem.model.measurements if each.tool == "datum" for channel in each.channels}
+        name, units = self.problem.machine.name, self.problem.machine.channel_units
+        return Poses(name=f"plan for {name}", stage=self.labels.stage, fixture=self.labels.fixture,
+                     setup=self.labels.setup, channels={**channels, **touched},
+                     units={each: units[each] for each in (*channels, *touched)})
+
+    @property
+    def table(self) -> Poses:
+        """Where to drive: all joint angles, those that no sensor reads too, and which datums are touched."""
+        return self.table_of({f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.problem.model.joints)})
+
+    @property
+    def places(self) -> list[str]:
+        """Where all joints stand, in the words of sheets."""
+        units = [self.problem.machine.channel_units[f"{joint}.q"] for joint in self.problem.model.joints]
+        return [", ".join(" ".join((joint, *in_print(value, unit))) for joint, value, unit in
+                          zip(self.problem.model.joints, q, units, strict=True)) for q in self.q.tolist()]
+
+    @property
+    def watch(self) -> Watch:
+        """What people keep beside the machine, which is driven there and rests."""
+        limits, machine, groups = self.problem.limits, self.problem.machine, self.groups
+        at_rest = limits.while_resting([joint for joint, angle in groups[0].locked.items()
+                                        if all(group.locked.get(joint) == angle for group in groups)]).limits
+        held = {f"{group.held(machine)} above ground" for group in groups}
+        own = self.q[:, limits.places]
+        uses = [each.use for each in courses(at_rest, own, 0 * own, 0 * own).values() if each.use.name not in held]
+        ends = limits.chain.over(limits.chain.far_ends, limits.chain.parameters.nominal, self.q)[0].transpose(0, 2, 1)
+        carried = machine.calibrator
+        first = len(ends[0]) - 1 if carried is None else len(machine.ancestry(carried.parent)) - 1
+        attached = np.linalg.norm(np.diff(ends[:, first:], axis=1), axis=2).sum(axis=1).max()
+        return watch(at_rest.model, reach(at_rest.model, own), uses, self.problem.reserves, attached=float(attached))
 
 
-def calibration_of(problem: PoseProblem, q: Array, labels: PoseLabels) -> CalibrationProblem:
-    """The calibration problem that measuring postures (N, n) without noise gives."""
-    model = problem.model
-    poses = postures.record(
-        model, q, labels.stage.tolist(), labels.fixture.tolist(), geometry=model.parameters.nominal,
-        channels=problem.channels, seed=None, name="plan", setup=labels.setup.tolist(), touch=labels.touch.tolist())
-    return calibration_problem(model.machine, poses, fixed=problem.fixed, priors=problem.priors)
+def column_in_print(channel: str, unit: str) -> str:
+    """Header of a channel in the units of sheets."""
+    return f"{channel} [{IN_PRINT[unit][0] if unit in IN_PRINT else unit}]"
+
+
+def csv_in_print(poses: Poses) -> str:
+    """Text of a table in the units of sheets; cells are empty where nothing is known yet, and set-ups are left out
+    where there are none."""
+    setups = [{"setup": setup} for setup in poses.setup] if np.any(poses.setup != "") else [{}] * len(poses)
+    return csv_text([{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k], **setups[k],
+                      **{column_in_print(name, poses.units[name]): number(
+                          float(values[k]) * IN_PRINT.get(poses.units[name], ("", 1))[1])
+                         for name, values in poses.channels.items()}} for k in range(len(poses))])
 
 
 def measured_along(model: KinematicModel, group: PoseGroup) -> int:

@@ -12,7 +12,7 @@ from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.criteria import FAINT
-from hydroopt.excitation.selection.pose_problem import PoseLabels, PoseProblem, calibration_of
+from hydroopt.excitation.selection.pose_problem import Postures
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
 
@@ -76,20 +76,20 @@ class PostureReadings:
     """R kinds of readings in N candidate postures, and what they say about the f free parameters of a calibration.
 
     Attributes:
-        poses: the problem, `readings` what is read, and `q` (N, n) postures with `labels`.
+        postures: the N postures, `readings` what is read.
         calibration: the problem of all readings in all postures.
         there: (N, R) which reading a posture offers.
         free: (f,) places of the free parameters; `scale` (f,) makes them comparable.
         prior: (f, f) information on them before anything is read.
     """
 
-    def __init__(self, poses: PoseProblem, readings: Sequence[Reading], q: Array, labels: PoseLabels) -> None:
-        self.poses, self.readings, self.q, self.labels = poses, tuple(readings), q, labels
-        self.calibration = calibration_of(poses, q, labels)
+    def __init__(self, postures: Postures, readings: Sequence[Reading]) -> None:
+        self.postures, self.readings = postures, tuple(readings)
+        self.calibration = postures.calibration
         present, channels = self.calibration.layout.present, self.calibration.model.channels
         self._rows = [np.array([channels.index(channel) for channel in each.channels if channel in channels], dtype=int)
                       for each in readings]
-        self.there = np.array([present[:, each].any(axis=1) for each in self._rows]).reshape(len(readings), len(q)).T
+        self.there = np.array([present[:, each].any(axis=1) for each in self._rows]).reshape(-1, len(present)).T
         self.free = np.flatnonzero(self.calibration.free)
         self.scale = self.calibration.parameters.scale[self.free]
         self.prior = np.diag(self.calibration.known[self.free] ** 2 + FAINT / self.scale**2)
@@ -102,7 +102,7 @@ class PostureReadings:
     def rows_of(self, places: NDArray[np.intp], read: NDArray[np.bool_]) -> Array:
         """Whitened Jacobian (K, u, f) of postures (K,) in which some readings (K, R) are taken."""
         part = self.reading(places, read)
-        return linearise(part, part.parameters.nominal, self.q[places]).jacobian[:, :, self.free]
+        return linearise(part, part.parameters.nominal, self.postures.q[places]).jacobian[:, :, self.free]
 
     def information(self, read: NDArray[np.bool_]) -> Array:
         """(f, f) of some readings (N, R), with what is known before."""
@@ -112,7 +112,7 @@ class PostureReadings:
 
     def reading(self, places: NDArray[np.intp], read: NDArray[np.bool_]) -> CalibrationProblem:
         """The problem of postures (K,) in which some readings (K, R) are taken, beside what belongs to none."""
-        problem = self.calibration.without(~np.isin(np.arange(len(self.q)), places))
+        problem = self.calibration.without(~np.isin(np.arange(len(self.there)), places))
         layout = problem.layout
         present = layout.present.copy()
         for r, rows in enumerate(self._rows):

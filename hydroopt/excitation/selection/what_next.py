@@ -17,17 +17,19 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.criteria import gains
+from hydroopt.excitation.selection.exchange import HELPS
 from hydroopt.excitation.selection.goals import Goal
 from hydroopt.excitation.selection.knowledge import Knowledge
 from hydroopt.excitation.selection.measurements import Measurement
+from hydroopt.excitation.selection.pose_problem import Postures, csv_in_print
 from hydroopt.excitation.selection.what_next_problem import WhatNextProblem
 from hydroopt.machine.machine import Machine
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.json_file import FILES, Job
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Usable, Use
+from hydroopt.results.tables import number
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.files import encoded
 from hydroopt.support.input_file import read_text
@@ -43,8 +45,6 @@ PAST = 0.9
 """Parts are taken as long as they keep so much of the best gain per minute: fewer steps, hardly worse ones."""
 AHEAD = 3
 """Measurements after which a second one is tried."""
-BETTER = 1.0001
-"""How much more gain per minute two measurements must have than the best one alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +155,13 @@ class WhatNext(Answer):
                                    std=float(after[k])) for k, name in enumerate(self.known[0].names)])
 
     @property
-    def uses(self) -> tuple[Use, ...]:
+    def claims(self) -> tuple[Claim, ...]:
         """How far each goal will be reached."""
         found = []
         for goal, std in zip(self.problem.goals, self.stds[-1].tolist(), strict=True):
             met = std <= goal.target * (1 + 1e-9)
             figure, unit, part = (None, "", NORMAL * std) if goal.unit == "1" else (NORMAL * std, goal.unit, None)
-            found.append(Use(
+            found.append(Claim(
                 goal.purpose, "" if goal.name == goal.purpose else goal.subject, Usable.YES if met else Usable.NO,
                 figure, unit, part,
                 f"expected 95 % interval after {self.spent:.0f} min of measurements",
@@ -195,7 +195,7 @@ class WhatNext(Answer):
     def described(self, step: Step) -> str:
         """What to do in a step, and how long it takes."""
         count = len(step.parts)
-        noun = "motion" if step.measurement.motions else "posture" if step.measurement.labels is not None else ""
+        noun = "motion" if step.measurement.motions else "posture" if step.measurement.postures else ""
         times = f", {count} {noun}{'s' * (count > 1)}" if noun else ""
         return f"{step.measurement.text}{times} (about {step.minutes:.0f} min)"
 
@@ -219,45 +219,35 @@ class WhatNext(Answer):
                 "seed": self.problem.seed, "reserves": self.problem.reserves._asdict(),
                 "left_out": self.problem.left_out._asdict()}
 
+    @property
+    def _driven(self) -> Postures | None:
+        """Those of the next measurement; None where it has none."""
+        found = self.steps[0].measurement.postures if self.steps else None
+        return None if found is None else found.at(self.steps[0].parts)
+
     def files(self) -> Mapping[str, str]:
         """The sheet, the postures of the next measurement, and the table of numbers."""
         files = {"sheet.txt": self.sheet(), "parameters.csv": self.parameters.to_csv()}
-        if self.steps and self.steps[0].measurement.labels is not None:
-            files["postures.csv"] = csv_text(self._posture_rows(self.steps[0]))
+        if self._driven is not None:
+            files["postures.csv"] = csv_in_print(self._driven.table)
         if self.steps and self.steps[0].measurement.file:
             files[ADDITION] = self.steps[0].measurement.file + "\n"
         return files
 
-    def _posture_rows(self, step: Step) -> list[dict[str, Any]]:
-        """Rows of a step's postures: what they belong to, and joint positions, as tables of poses have them; none of a
-        calibrator that is not attached."""
-        measurement, units = step.measurement, self.problem.machine.channel_units
-        assert measurement.labels is not None
-        assert measurement.q is not None
-        columns = [f"{joint}.q [{units[f'{joint}.q']}]" for joint in measurement.joints]
-        return [{"stage": measurement.labels.stage[k], "fixture": measurement.labels.fixture[k], "pose": str(at + 1),
-                 **dict(zip(columns, measurement.q[k].tolist(), strict=True))} for at, k in enumerate(step.parts)]
-
     def sheet(self) -> str:
-        """What to do, step by step, as plain text."""
-        text = [f"What to measure next of {self.machine_name}: {self.spent:.0f} min, until {self.stopped}."]
-        if self.problem.left_out.drawn:
-            text.append(self.problem.left_out.sentence)
+        """What to do, step by step, as plain text; where postures are driven to also what people keep, and when to
+        stop."""
+        about = f"What to measure next of {self.machine_name}: {self.spent:.0f} min, until {self.stopped}."
+        text, driven = [self.problem.left_out.sentence] if self.problem.left_out.drawn else [], self._driven
         for k, step in enumerate(self.steps, start=1):
             text += ["", f"{k}. {self.described(step)}", f"   {self._gain(k)}"]
-            if k == 1 and step.measurement.q is not None:
-                units = self.problem.machine.channel_units
-                for at, part in enumerate(step.parts):
-                    places = ", ".join(
-                        f"{joint} {1e3 * value:.0f} mm" if units[f"{joint}.q"] == "m" else
-                        f"{joint} {np.degrees(value):.1f} deg" for joint, value in
-                        zip(step.measurement.joints, step.measurement.q[part].tolist(), strict=True))
-                    text.append(f"   posture {at + 1}: {places}")
+            text += [f"   posture {at}: {place}" for at, place in enumerate(
+                driven.places if driven and k == 1 else (), start=1)]
         if self.alternatives:
             text += ["", "What each kind of measurement would gain now, per minute:"]
             text += [f"  {100 * step.rate:6.2f} %  {step.measurement.name}, {len(step.parts)} in {step.minutes:.0f} min"
                      for step in self.alternatives]
-        return "\n".join(text) + "\n"
+        return "\n".join([about, *text]) + "\n" if driven is None else driven.watch.sheet(about, *text)
 
 
 def plan_next(problem: WhatNextProblem, *, minutes: float = np.inf, least: float = LEAST, lookahead: bool = True,
@@ -371,7 +361,7 @@ def next_step(measurements: Sequence[Measurement], goals: Sequence[Goal], known:
     for step in found[:AHEAD] if lookahead and len(found) > 1 else ():
         for second in choices(measurements, goals, step.after, left - step.minutes)[:1]:
             together = (step.gain + second.gain) / (step.minutes + second.minutes)
-            if together > BETTER * rate:
+            if together > (1 + HELPS) * rate:
                 best, rate = step, together
     return best
 

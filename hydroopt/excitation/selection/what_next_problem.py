@@ -109,7 +109,7 @@ class WhatNextProblem(CombinatorialProblem):
                 raise
             return ()
         own = self.equipped.calibrator
-        if self.additions and np.all(found[0][0].labels.fixture != ""):
+        if self.additions and np.all(found[0][0].postures.labels.fixture != ""):
             found.append(self._candidates(self.equipped.model_copy(update={
                 "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
                 "distances": tuple(each for each in self.equipped.distances if each.measured)})))
@@ -117,9 +117,8 @@ class WhatNextProblem(CombinatorialProblem):
 
     def _candidates(self, machine: Machine) -> tuple[PostureReadings, LeftOut]:
         poses = pose_problem(machine, 1, priors=True, reserves=self.reserves)
-        q, left_out = random_candidates(poses, self.candidates, np.random.default_rng(self.seed))
-        read = readings(poses.model, poses.channels)
-        return PostureReadings(poses, read, np.concatenate(q), poses.labels(self.candidates)), left_out
+        drawn, left_out = random_candidates(poses, self.candidates, np.random.default_rng(self.seed))
+        return PostureReadings(drawn, readings(poses.model, poses.channels)), left_out
 
     @cached_property
     def model(self) -> Model:
@@ -200,7 +199,7 @@ class WhatNextProblem(CombinatorialProblem):
                     raise ProblemError(f"'{name}' is no mass", where=name, remedy="name one such as boom.m")
                 row = np.zeros((1, p))
                 row[0, knowledge.geometry + k] = 1.0
-                found.append(Goal(Purpose.MASSES, name, "kg", target, row))
+                found.append(Goal(Purpose.MASS, name, "kg", target, row))
         return tuple(found)
 
     def __repr__(self) -> str:

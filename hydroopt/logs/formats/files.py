@@ -6,38 +6,30 @@ import hashlib
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from hydroopt.errors import LogError
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.formats.foreign_file import NAMES, ForeignFile
 from hydroopt.logs.formats.parquet_file import ParquetFile
+from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.formats.text_file import TextFile
-from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.table import EXPANDED_LIMIT, FORMATS, kind_of, load
 
 MAGIC = {b"MDF     ": "mdf", b"\x89HDF\r\n\x1a\n": "hdf5", b"#ROSBAG V2.0": "bags"}
 """First bytes of files whose name may say something else."""
 
 
-@dataclass(frozen=True)
-class Source:
-    """The sheets of one file or several, and the SHA-256 of each file."""
-
-    sheets: tuple[Sheet, ...]
-    digests: tuple[str, ...]
-
-
 @contextmanager
-def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
-    """The sheets of files, open as long as they are read; a directory that is no bag stands for its files.
+def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[tuple[list[Sheet], str]]:
+    """The sheets of files, open as long as they are read, and the SHA-256 of the file, or of those of several; a
+    directory that is no bag stands for its files.
 
     Raises:
         LogError: a file is damaged or of an unknown kind, or declares more than can be held.
     """
     files = [file for path in paths for file in _files_of(path)]
-    sheets, digests = [], []
+    sheets, digests = list[Sheet](), list[str]()
     with ExitStack() as stack:
         for file in files:
             kind, front = true_kind(file, layout), stem(file) if len(files) > 1 else ""
@@ -45,18 +37,18 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
                 digests.append(_digest(file))
                 foreign = ForeignFile(str(kind), file, _size(file), layout)
                 stack.callback(foreign.close)
-                for name, sheet in foreign.sheets.items():
-                    full = f"{front}:{name}" if front and name else front or name
-                    sheets.append(Sheet(full, f"{file}, {name}" if name else file, sheet, foreign.titles[name]))
+                found = foreign.sheets
             elif kind == "parquet" and not file.lower().endswith(".gz"):
                 digests.append(_digest(file, float("inf")))
-                sheets.append(Sheet(front, file, ParquetFile(Path(file), file, layout)))
+                found = [ParquetFile(Path(file), file, layout)]
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)
-                reader = TextFile if kind == "csv" else ParquetFile
-                sheets.append(Sheet(front, file, reader(data, file, layout)))
-        yield Source(tuple(sheets), tuple(digests))
+                found = [TextFile(data, file, layout) if kind == "csv" else ParquetFile(data, file, layout)]
+            for sheet in found:
+                sheet.name = f"{front}:{sheet.name}" if front and sheet.name else front or sheet.name
+            sheets += found
+        yield sheets, digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
 def true_kind(path: str | Path, layout: LogMap | None) -> str | None:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.logs.formats.log_file import LogFile
+from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.stamps import Stamps
-from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, check_size, find_column, selected, unreadable
+from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, check_size, selected, unreadable
 from hydroopt.support.packages import install
 
 NAMES = {"hdf5": "HDF5", "mat": "MATLAB", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet",
@@ -49,7 +49,6 @@ class ForeignFile:
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(PROGRAM), json.dumps(limits)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL, env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})
-        self._rows = layout.rows if layout else None
         try:
             said, _ = self._answer()
             found = said["sheets"]
@@ -57,14 +56,15 @@ class ForeignFile:
                 raise LogError("the file holds no columns of two or more numbers", where=path,
                                remedy="check what was recorded")
             alone = len(found) == 1
-            self.sheets: dict[str, LogFile] = {}
-            self.titles = {"" if alone else each["name"]: str(each["name"]) for each in found}
+            self.sheets: list[Sheet] = []
             for k, each in enumerate(found):
                 check_size(each["rows"] * 8, path)
-                name = "" if alone else each["name"]
+                where = path if alone else f"{path}, {each['name']}"
                 try:
-                    self.sheets[name] = (self._table(k, name, layout) if each["text"] else
-                                         _ForeignSheet(self, k, name, each, self._rows))
+                    sheet = (self._table(k, where, layout) if each["text"] else
+                             _ForeignSheet(self, k, where, each, layout.rows if layout else None))
+                    sheet.name, sheet.title = "" if alone else each["name"], each["name"]
+                    self.sheets.append(sheet)
                 except LogError:
                     if alone or (k + 1 == len(found) and not self.sheets):
                         raise  # a worksheet of notes is no table
@@ -72,10 +72,10 @@ class ForeignFile:
             self.close()
             raise
 
-    def _table(self, index: int, name: str, layout: LogMap | None) -> LogFile:
+    def _table(self, index: int, where: str, layout: LogMap | None) -> Sheet:
         """A worksheet, which is a table of text with tabs."""
         _, (data,) = self.ask(sheet=index, columns=[], stamps=False)
-        return TextFile(data.tobytes(), f"{self.where}, {name}" if name else self.where, layout, sheet=True)
+        return TextFile(data.tobytes(), where, layout, sheet=True)
 
     def ask(self, **request: Any) -> tuple[dict[str, Any], list[NDArray[Any]]]:
         """The answer to a request, and its arrays."""
@@ -118,31 +118,30 @@ class ForeignFile:
                 pipe.close()
 
 
-class _ForeignSheet:
+class _ForeignSheet(Sheet):
     """A sheet of numbers of such a file."""
 
-    def __init__(self, file: ForeignFile, index: int, name: str, said: dict[str, Any],
+    variables = True
+
+    def __init__(self, file: ForeignFile, index: int, where: str, said: dict[str, Any],
                  rows: tuple[int, int] | None) -> None:
-        self.where = f"{file.where}, {name}" if name else file.where
-        self.header: list[str] = said["header"]
-        self.shown: str = said["shown"]
-        self.own_stamps: bool = said["own"]
-        self.layout, self.unnamed = None, 0
-        self._file, self._index, self._rows = file, index, rows
+        super().__init__(where, said["header"], rows)
+        self.shown, self.own_stamps = said["shown"], said["own"]
+        self._file, self._index = file, index
 
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
         """The columns `keys` as numbers; there are no texts."""
         if texts:
             raise LogError("this file has no columns of text", where=self.where, remedy="export it as .csv or .xlsx")
-        index = [self._column(key) for key in keys]
+        index = [self.column(key) for key in keys]
         own = self.own_stamps and time is None
         _, arrays = self._file.ask(sheet=self._index, columns=index, stamps=own)
         made = _own(arrays.pop()) if own else None
         columns: dict[RawKey, Array] = {}
-        if len({array.size for array in arrays} | ({made.ticks.size} if made else set())) > 1:
+        if len({array.size for array in arrays} | ({made.moments.size} if made else set())) > 1:
             raise unreadable(NAMES[self._file.kind], self.where, ValueError("its columns have different lengths"))
-        count = made.ticks.size if made is not None else arrays[0].size if arrays else 0
-        rows = selected(count, self._rows, self.where) if count else np.empty(0, int)
+        count = made.moments.size if made is not None else arrays[0].size if arrays else 0
+        rows = selected(count, self.rows, self.where) if count else np.empty(0, int)
         for key, position, array in zip(keys, index, arrays, strict=True):
             if array.dtype.kind not in "biuf" and not (key == time and array.dtype.kind in "mM"):
                 raise NoNumbersError(f"column '{self.header[position]}' holds no numbers", where=self.where,
@@ -151,20 +150,13 @@ class _ForeignSheet:
                 made = stamps.of_column(array[rows - 1])
             columns[key] = made.seconds() if array.dtype.kind in "mM" and made else array[rows - 1].astype(float)
         if own and made is not None:
-            made = Stamps(made.ticks[rows - 1], made.per_second, made.dated)
+            made = Stamps(made.moments[rows - 1])
         return Table(columns, rows, stamps=made)
-
-    def _column(self, key: RawKey) -> int:
-        if isinstance(key, tuple):
-            variable, row = key
-            return find_column(variable if row is None else f"{variable}[{row}]", self.header, len(self.header),
-                               self.where)
-        return find_column(key, self.header, len(self.header), self.where)
 
 
 def _own(found: NDArray[Any]) -> Stamps:
     """Stamps of a file's own: dates, or seconds."""
     if found.dtype.kind in "mM":
-        return stamps.of_datetimes(found)
-    ticks = np.where(np.isfinite(found), np.round(np.nan_to_num(found) * 1e9), 0).astype(np.int64)
-    return Stamps(np.where(np.isfinite(found), ticks, stamps.MISSING), 10**9, False)
+        return Stamps(found)
+    ticks = np.round(np.nan_to_num(found) * 1e9).astype(np.int64).view("m8[ns]")
+    return Stamps(np.where(np.isfinite(found), ticks, np.timedelta64("NaT")))

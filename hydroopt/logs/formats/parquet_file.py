@@ -10,33 +10,23 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.mapped import empty, release, stored
-from hydroopt.logs.table import (
-    NoNumbersError,
-    RawKey,
-    Table,
-    check_size,
-    find_column,
-    selected,
-    unreadable,
-)
+from hydroopt.logs.table import NoNumbersError, RawKey, Table, check_size, selected, unreadable
 from hydroopt.support.packages import needed
 
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time."""
 
 
-class ParquetFile:
+class ParquetFile(Sheet):
     """A Parquet file, in memory or on disk; sizes are judged from its metadata before anything is allocated."""
-
-    own_stamps, shown, layout, unnamed = False, "", None, 0
 
     def __init__(self, source: bytes | Path, where: str, layout: LogMap | None) -> None:
         needed("pyarrow", "Parquet files are read with pyarrow", where=where, error=LogError)
         from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (an extra)
         from pyarrow.parquet import ParquetFile as Reader  # noqa: PLC0415
 
-        self.where, self._rows = where, layout.rows if layout else None
         try:
             self._file = (Reader(BufferReader(source)) if isinstance(source, bytes)
                           else Reader(source, buffer_size=BATCH, pre_buffer=False))
@@ -51,17 +41,14 @@ class ParquetFile:
 
         # dates have the unit that their stamps will have
         self._names: list[str] = list(self._file.schema_arrow.names)
-        self.header: list[str] = [f"{field.name} [s]" if field.name == "t" and types.is_timestamp(field.type)
-                                  else field.name for field in self._file.schema_arrow]
+        super().__init__(where, [f"{field.name} [s]" if field.name == "t" and types.is_timestamp(field.type)
+                                 else field.name for field in self._file.schema_arrow], layout.rows if layout else None)
 
-    def _column(self, key: RawKey, *, moment: bool = False) -> str:
+    def _name(self, key: RawKey, *, moment: bool = False) -> str:
         """The name of a column of numbers, or of moments."""
         from pyarrow import types  # noqa: PLC0415 (import cost)
 
-        if isinstance(key, tuple):
-            raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
-                           remedy="use 'column'")
-        name = self._names[find_column(key, self.header, len(self.header), self.where)]
+        name = self._names[self.column(key)]
         kind = self._file.schema_arrow.field(name).type
         if moment and (types.is_timestamp(kind) or types.is_duration(kind)):
             return name
@@ -85,14 +72,14 @@ class ParquetFile:
         """The columns `keys` as numbers, where nulls are NaN, and the columns `texts` as texts."""
         from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
 
-        rows, made = selected(self.meta.num_rows, self._rows, self.where), None
-        names = {key: self._column(key, moment=key == time) for key in keys}
+        rows, made = selected(self.meta.num_rows, self.rows, self.where), None
+        names = {key: self._name(key, moment=key == time) for key in keys}
         columns: dict[RawKey, NDArray[Any]] = {key: empty(rows.size) for key in keys if key != time}
         try:
             if time is not None and time in names:
                 stamped = self._stamped(names[time], rows)
                 made = stamps.of_column(stamped)
-                columns[time] = stored(made.seconds() if made and not made.unit else stamped.astype(float, copy=False))
+                columns[time] = made.seconds() if made and not made.unit else stored(stamped.astype(float, copy=False))
             for place, batch in self._batches([names[key] for key in keys if key != time], rows):
                 for key in columns.keys() - {time}:
                     columns[key][place] = self._numbers(batch.column(names[key]), moment=False)
@@ -134,7 +121,7 @@ class ParquetFile:
     def _text(self, key: Key) -> list[str]:
         from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
 
-        name = self._names[find_column(key, self.header, len(self.header), self.where)]
+        name = self._names[self.column(key)]
         try:
             cells = self._file.read(columns=[name]).column(0).cast("string").to_pylist()
         except (ArrowException, OSError, ValueError, IndexError):

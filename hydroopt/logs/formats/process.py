@@ -18,7 +18,6 @@ import numpy as np
 
 def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests about a file of a kind until there are no more."""
-    from hydroopt.logs.formats.decoders.content import UnreadableError  # noqa: PLC0415
     from hydroopt.support import memory  # noqa: PLC0415
 
     try:
@@ -42,9 +41,8 @@ def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
             _answer(answers, {"exceeded": memory.limit()}, [])
         elif isinstance(error, ImportError):
             _answer(answers, {"missing": str(error.name or error)}, [])
-        else:
-            damage = str(error) if isinstance(error, UnreadableError) else f"it is damaged: {type(error).__name__}"
-            _answer(answers, {"unreadable": damage[:200]}, [])
+        else:  # whatever the library raises, the file is at fault
+            _answer(answers, {"unreadable": (str(error) or type(error).__name__)[:200]}, [])
 
 
 def _answer(answers: BinaryIO, said: dict[str, Any], arrays: list[Any]) -> None:

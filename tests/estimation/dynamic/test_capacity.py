@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from hydroopt.estimation.dynamic.claims import WORKING_PRESSURE, capacity
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.estimation.dynamic.usability import WORKING_PRESSURE, capacity
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model
-from hydroopt.results.verdict import Purpose, Usable, Use
+from hydroopt.results.verdict import Claim, Purpose, Usable
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
 LIFT = load_machine("patu655_lift")
@@ -93,22 +93,22 @@ rod = { link = "tilt", pin = ["-0.17 m", "0.08 m", "0 m"] }
 """
 
 
-def uses(text: str) -> dict[Purpose, list[Use]]:
+def claims(text: str) -> dict[Purpose, list[Claim]]:
     model = Model(read_machine(text))
     logs = [simulate(model, random_trajectory(model, duration=8, rate=25.0, seed=k), seed=k) for k in (1, 2)]
-    found = identify(identification_problem(model, logs[:1], logs[1:]).by_data_alone(), "wls").verdict.uses
-    return {purpose: [use for use in found if use.purpose is purpose] for purpose in Purpose}
+    found = identify(identification_problem(model, logs[:1], logs[1:]).by_data_alone(), "wls").verdict.claims
+    return {purpose: [claim for claim in found if claim.purpose is purpose] for purpose in Purpose}
 
 
 def test_the_verdict_says_by_which_pressure_a_load_is_judged() -> None:
-    weighing, = uses(TWO)[Purpose.WEIGHING]
+    weighing, = claims(TWO)[Purpose.WEIGHING]
     assert "at 200 bar (assumed: state its relief_pressure)" in weighing.condition
 
 
 def test_a_joint_without_measured_forces_is_neither_validated_nor_controlled_nor_weighs() -> None:
     second = TWO[TWO.index("[[cylinders]]"):TWO.index('[[cylinders]]\nname = "tilt_cylinder"')]
-    found = uses(TWO + second.replace('"lift_cylinder"', '"second"\nmeasured = false'))
-    lift, = (use for use in found[Purpose.FORCES] if use.subject == "lift")
+    found = claims(TWO + second.replace('"lift_cylinder"', '"second"\nmeasured = false'))
+    lift, = (claim for claim in found[Purpose.FORCE] if claim.of == "lift")
     assert lift.usable is Usable.NO
     assert "second not measured" in lift.reason
     control, = found[Purpose.CONTROL]

@@ -134,6 +134,18 @@ def test_memory_hardly_grows_with_the_log(cat215b: Model, log: Log, tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_a_log_in_memory_is_that_of_a_file(cat215b: Model, log: Log, tmp_path: Path) -> None:
+    copies = 25
+    t, rng = np.arange(copies * log.size) / 50, np.random.default_rng(1)
+    made = Log("long", t, {name: np.tile(x, copies) + 1e-3 * np.std(x) * rng.standard_normal(t.size)
+                           for name, x in log.channels.items()}, units=log.units)
+    made.write(tmp_path / "long.parquet")
+    kept, read = (identified(cat215b, one) for one in (made, read_log(tmp_path / "long.parquet")))
+    assert apart(kept, read) < 1e-6
+    np.testing.assert_allclose(read.base_std, kept.base_std, rtol=1e-8)
+
+
+@pytest.mark.slow
 def test_the_command_shows_a_part_of_a_long_file(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log.write(tmp_path / "log.parquet")
     monkeypatch.setattr(experiments, "SHOWN", 1000)

@@ -27,17 +27,17 @@ def test_the_tip_lies_within_the_figure() -> None:
     for seed in range(12):
         made = simulate_poses(model, plan.postures, random=True, seed=seed)
         found = calibrate(calibration_problem(machine, made.poses), "joint", seed=seed)
-        (use,) = [use for use in found.verdict.uses if use.purpose is Purpose.POSITION]
-        assert use.figure is not None
+        (claim,) = [claim for claim in found.verdict.claims if claim.purpose is Purpose.POSITION]
+        assert claim.bound is not None
         names = found.problem.parameters.names
         true = np.array([made.truth.get(name, value) for name, value in zip(names, found.theta, strict=True)])
         q = np.random.default_rng(seed).uniform(low, high, (100, len(low)))
         own = found.problem.model
         count, (_, function) = len(own.parameters), machine_end(own)
         tip, truth = (own.over(function, theta[:count], q)[0][:, :, 0] for theta in (found.theta, true))
-        within.append(float(np.mean(np.linalg.norm(tip - truth, axis=1) <= use.figure)))
+        within.append(float(np.mean(np.linalg.norm(tip - truth, axis=1) <= claim.bound)))
         dimensions += [abs(found.theta[names.index(each.subject)] - made.truth[each.subject]) <= each.figure
-                       for each in found.verdict.uses if each.purpose is Purpose.DIMENSIONS
+                       for each in found.verdict.claims if each.purpose is Purpose.LENGTH
                        and each.usable is Usable.YES and each.figure and each.subject in made.truth]
     assert np.mean(within) >= 0.95
     assert len(dimensions) > 100

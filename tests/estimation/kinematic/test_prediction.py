@@ -75,7 +75,7 @@ def test_a_stage_that_the_others_hardly_tell_is_no_contradiction() -> None:
     assert found.status is Status.OK
     assert not of_kind(found.diagnostics, "held-out poses beyond their intervals",
                        "held-out poses fit worse than training poses")
-    (place,) = (use for use in found.uses if use.purpose is Purpose.POSITION)
+    (place,) = (claim for claim in found.claims if claim.purpose is Purpose.POSITION)
     assert "errors of held-out poses 1" in place.condition
     assert "times those stated" in place.condition
 

@@ -7,7 +7,7 @@ import hydroopt as ho
 from hydroopt.estimation.motion.problem import fit_motion, sensor_problem
 from hydroopt.estimation.motion.sensed import sensed
 from hydroopt.logs.clock import Clock
-from hydroopt.logs.recording import ChannelGroup, Recording
+from hydroopt.logs.recording import Recording
 from tests.estimation.motion.test_motion_fit import arm
 
 LATE, FAST = 0.02, 0.003
@@ -22,8 +22,8 @@ def recording(seed: int, late: float = LATE, fast: float = FAST, duration: float
     log = ho.simulate(model, course, seed=seed + 1)
     units, bus = ({name: x for name, x in log.channels.items() if ("imu" in name) is imu} for imu in (True, False))
     stamps = log.t[::2] * (1 + fast) + late
-    groups = (ChannelGroup("imu", log.t, units),
-              ChannelGroup("bus", stamps, {name: x[::2] for name, x in bus.items()}))
+    groups = (ho.Log("imu", log.t, units),
+              ho.Log("bus", stamps, {name: x[::2] for name, x in bus.items()}))
     return machine, course, Recording("drive", groups, clocks={"bus": Clock(0.0, 0.05, 0.0, 0.01)})
 
 
@@ -79,7 +79,7 @@ def other_clock(model: ho.Model, seed: int, duration: float) -> tuple[ho.Log, np
     log = ho.simulate(model, course, truth, seed=seed)
     pressures, others = ({name: x for name, x in log.channels.items() if (".p_" in name) is kind}
                          for kind in (True, False))
-    groups = (ChannelGroup("angles", log.t, others), ChannelGroup("can", log.t * (1 + FAST) + LATE, pressures))
+    groups = (ho.Log("angles", log.t, others), ho.Log("can", log.t * (1 + FAST) + LATE, pressures))
     merged = Recording("drive", groups).log()
     late = merged.t - (merged.t - LATE) / (1 + FAST)
     return merged, truth, np.array([late[0], late[-1] - late[0]])

@@ -27,6 +27,7 @@ from hydroopt.limits.reserves import Reserves
 from hydroopt.machine.environment import Obstacle, Pump
 from hydroopt.machine.links import Box
 from hydroopt.machine.machine import Machine
+from hydroopt.report.excitation import render, render_sheet
 from hydroopt.results.answer import load
 from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import random_trajectory
@@ -214,6 +215,29 @@ def test_a_search_cut_short_says_so_before_anything_else() -> None:
     assert cut in found.content()["method"]
     assert found.content()["stopped"] == "after 0.01 s"
     assert "cut" not in str(replace(found, stopped="").verdict.card())
+
+
+def test_a_time_limit_without_a_motion_is_no_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only Ctrl-C interrupts: a script that gives too little time goes on with the sentence that says so."""
+    monkeypatch.setattr("hydroopt.excitation.motion.design._ended", lambda problem, rest, *_: (rest, (0.0, 0.0)))
+    with pytest.raises(ProblemError, match=r"by any motion that was tried in 0\.01 s, .* or give more time"):
+        design(program(LIFT), starts=1, search_seconds=0.01)
+
+
+@pytest.mark.parametrize("pace", [0.0, -0.5, 1.2, float("nan")])
+def test_a_pace_out_of_range_is_refused(pace: float) -> None:
+    problem = program(LIFT)
+    with pytest.raises(ProblemError, match="cannot be driven at"):
+        Excitation(problem, problem.posture(problem.mean)).at_pace(pace)
+
+
+def test_pages_say_at_which_part_of_its_pace_a_motion_is_driven() -> None:
+    problem = program(LIFT)
+    rng = np.random.default_rng(1)
+    motion = Excitation(problem, random_motion(problem, resting_posture(problem, rng), rng))
+    for page in (render, render_sheet):
+        assert "designed pace" not in page(motion)
+        assert "50 % of the designed pace" in page(motion.at_pace(0.5))
 
 
 def test_nothing_to_try_is_refused() -> None:

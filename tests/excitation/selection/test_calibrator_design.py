@@ -10,13 +10,14 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt
+from fixtures.sheets import says_what_people_keep
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.excitation.selection.calibrator_design import CalibratorDesign, design_calibrator
 from hydroopt.excitation.selection.calibrator_problem import SensorOffer, Workshop, calibrator_problem, fixture_of
-from hydroopt.excitation.selection.calibrator_sizing import DEXTERITY, STROKE, optimal_shares, whitened_rows
-from hydroopt.excitation.selection.pose_problem import calibration_of, pose_problem
+from hydroopt.excitation.selection.calibrator_sizing import DEXTERITY, optimal_shares, whitened_rows
+from hydroopt.excitation.selection.pose_problem import Postures, pose_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.results.answer import load
@@ -122,7 +123,7 @@ def test_poses_close_within_all_limits_and_none_is_singular() -> None:
     assert np.all((done.q <= high + 1e-9)[:, moving])
     stroke = np.array([each.stroke for each in machine.cylinders])
     part = model.over(model.strokes, model.parameters.nominal, done.q)[0][:, :, 0] / stroke
-    assert np.all((part > STROKE - 1e-3) & (part < 1 - STROKE + 1e-3))
+    assert np.all((part > postures.RESERVE - 1e-3) & (part < 1 - postures.RESERVE + 1e-3))
     ends = model.over(model.far_ends, model.parameters.nominal, done.q)[0]
     carried = [link.name for link in machine.chain].index("stick")
     assert np.all(ends[:, 2, carried:-1] > machine.ground + WORKSHOP.clearance - 1e-3)
@@ -135,12 +136,20 @@ def test_poses_close_within_all_limits_and_none_is_singular() -> None:
     assert np.all((fixture >= low_site - 1e-9) & (fixture <= high_site + 1e-9))
 
 
+def test_the_sheet_keeps_people_safe() -> None:
+    """Also from what the calibrator adds to the machine's reach."""
+    done = design()
+    says_what_people_keep(done.sheet(), done.watch)
+    assert done.watch.attached > 0
+    assert f"{done.watch.attached:.2f} m of which hang at its tip" in " ".join(done.sheet().split())
+
+
 def test_what_own_errors_cost_is_what_an_exact_number_saves() -> None:
     done = design()
     dearest = done.own_errors[0]
     exact = done.problem.fixing(**{dearest.name: float(done.problem.parameters.nominal[
         done.problem.parameters.index(dearest.name)])})
-    again = linearise(calibration_of(exact, done.q, done.labels), exact.parameters.nominal, done.q)
+    again = linearise(Postures(exact, done.q, done.labels).calibration, exact.parameters.nominal, done.q)
     assert again.jacobian.shape[0] == len(done.q)
     assert dearest.factor >= done.own_errors[-1].factor >= 1 - 1e-9
     assert all(done.exact_deviations[name] <= std + 1e-12 for name, std in done.length_deviations.items())
@@ -150,7 +159,7 @@ def test_symbolic_rows_are_those_of_linearised_poses() -> None:
     done = design()
     problem = pose_problem(done.machine, 1)
     q = done.q[[0, 6, 12]]
-    calibration = calibration_of(problem, q, problem.labels(1))
+    calibration = Postures(problem, q, problem.labels(1)).calibration
     linear = linearise(calibration, calibration.start, q)
     for k in range(3):
         rows = np.array(whitened_rows(calibration, k)(calibration.start, q[k]))

@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt
+from fixtures.sheets import says_what_people_keep
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.accuracy import machine_end
@@ -76,6 +77,12 @@ def test_the_sheet_names_what_is_read_along() -> None:
     assert "In every posture, record along: swing.q, boom.q, stick.q, bucket.q.\n" in plan().sheet()
     free = measure_up_problem(load_machine(FILE), tip=0.02, minutes={"tape.length": 0.0})
     assert "bucket.q, tape.length.\n" in fewest_readings(free, candidates=20).sheet()
+
+
+def test_the_sheet_keeps_people_safe() -> None:
+    """Distances, machine at rest, and the values beyond which no one may go, as on all sheets of measurements."""
+    done = plan()
+    says_what_people_keep(done.sheet(), done.watch)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hydroopt
+from fixtures.sheets import says_what_people_keep
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.maximum_likelihood import maximum_likelihood
@@ -222,6 +223,7 @@ def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
 
 def test_sheet_states_what_to_do(plan):
     sheet = plan.sheet()
+    says_what_people_keep(sheet, plan.watch)
     parts = sheet.split("\n\n")
     assert parts[1].startswith(f"- Keep everyone {plan.watch.distance:.1f} m away")
     assert parts[2].splitlines() == [plan.left_out.sentence, plan.ways]

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt as ho
+from fixtures.sheets import says_what_people_keep
 from hydroopt import KinematicModel, Model
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
@@ -112,12 +113,7 @@ def test_a_calibration_of_the_step_gives_what_was_expected_of_it(tmp_path: Path)
         each.name for each in problem.measurements if each.name != step.measurement.name])
     plan = plan_next(taken)
     (step,) = plan.steps
-    q = step.measurement.q[list(step.parts)]
-    joints = problem.chain.joints
-    none = np.full(len(q), "")
-    table = Poses("planned", none, none, channels={f"{joint}.q": q[:, k] for k, joint in enumerate(joints)},
-                  units={f"{joint}.q": "rad" for joint in joints})
-    made = simulate_poses(problem.chain, table, seed=3)
+    made = simulate_poses(problem.chain, step.measurement.postures.at(step.parts).table, seed=3)
     owner = step.measurement.name
     poses = replace(made.poses, channels={name: values for name, values in made.poses.channels.items()
                                           if name.startswith(f"{owner}.") or name.endswith(".q")})
@@ -140,6 +136,14 @@ def test_the_command_writes_sheet_page_and_json(tmp_path: Path) -> None:
     assert saved["steps"][0]["measurement"] == "motion"
     assert saved["stopped"] in (tmp_path / "sheet.txt").read_text()
     assert "What each kind of measurement would gain now" in (tmp_path / "report.html").read_text()
+
+
+def test_the_sheet_keeps_people_safe_where_postures_are_driven_to() -> None:
+    plan = plan_next(surveyed(), minutes=30.0)
+    driven = plan.steps[0].measurement.postures.at(plan.steps[0].parts)
+    says_what_people_keep(plan.sheet(), driven.watch)
+    assert f"posture {len(driven.q)}: " in plan.sheet()
+    assert "Keep everyone" not in plan_next(ho.what_next_problem(LIFT, targets={"force": 0.01})).sheet()
 
 
 @pytest.mark.parametrize(("options", "sentence"), [
@@ -170,11 +174,7 @@ def surveyed() -> ho.WhatNextProblem:
 def poses_read(problem: ho.WhatNextProblem, names: Sequence[str], seed: int, *, random: bool) -> tuple[Poses, dict]:
     """What is read with some additions and by the joints in the postures of the first of them."""
     measured = reading(problem, names[0])
-    none = np.full(len(measured.q), "")
-    table = Poses("planned", none, none, channels={
-        f"{joint}.q": measured.q[:, k] for k, joint in enumerate(problem.chain.joints)},
-        units={f"{joint}.q": "rad" for joint in problem.chain.joints})
-    made = simulate_poses(KinematicModel(problem.equipped), table, random=random, seed=seed)
+    made = simulate_poses(KinematicModel(problem.equipped), measured.postures.table, random=random, seed=seed)
     return replace(made.poses, channels={name: values for name, values in made.poses.channels.items() if name.endswith(
         ".q") or name.partition(".")[0] in names}), made.truth
 
@@ -279,7 +279,7 @@ def test_a_machine_whose_poses_all_hold_the_calibrator_is_taped_without_it() -> 
     assert after.covariance[k, k] == pytest.approx(1 / (1 / known.covariance[k, k] + 1 / 0.003**2), rel=0.01)
     only = [each.name for each in problem.measurements if each.name != "inclination_boom"]
     plan = plan_next(replace(problem, without=tuple(only)), minutes=20.0, least=0.0)
-    assert plan.files()["postures.csv"].startswith("stage,fixture,pose,swing.q [rad],boom.q [rad],stick.q [rad]\n")
+    assert plan.files()["postures.csv"].startswith("stage,fixture,pose,swing.q [deg],boom.q [deg],stick.q [deg]\n")
     assert "nan" not in plan.sheet()
 
 

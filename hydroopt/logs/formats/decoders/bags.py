@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hydroopt.logs.formats.decoders.content import WIDEST, Column, Content, UnreadableError
+from hydroopt.logs.formats.decoders.content import WIDEST, Column, Content
 
 UNITS = {
     "sensor_msgs/msg/JointState": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N*m or N"},
@@ -35,70 +35,46 @@ UNITS = {
 common_interfaces, which follow REP 103, https://ros.org/reps/rep-0103.html."""
 DEPTH = 6
 """How deep fields are looked for."""
+Message = tuple[int, Any]
+"""The recorder's stamp [ns], and what was sent."""
 
 
 def contents(path: Path) -> list[Content]:
-    """The topics of a bag whose messages hold numbers, with the stamps of their headers, or else of the recorder.
-
-    Raises:
-        UnreadableError: it is damaged.
-    """
-    try:
-        if path.suffix == ".mcap" and (found := _json_topics(path)):
-            return found
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-        found = []
-        for topic, info in reader.topics.items():
-            topic_messages = _Messages(reader, topic)
-            first = next(iter(topic_messages.each()), None)
-            if first is None or info.msgcount < 2:
-                continue
-            content = _content(topic, str(info.msgtype), topic_messages, first, int(info.msgcount))
-            if content.columns:
-                found.append(content)
-    except Exception as error:  # whatever the library raises, the file is at fault
-        raise UnreadableError(str(error) or type(error).__name__) from None
-    return found
+    """The topics of a bag whose messages hold numbers, with the stamps of their headers, or else of the recorder."""
+    if path.suffix == ".mcap" and (found := _json_topics(path)):
+        return found
+    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    reader.open()
+    found = []
+    for topic, info in reader.topics.items():
+        first = next(_messages(reader, topic), None)
+        if first is not None and info.msgcount > 1:
+            decoded = cache(lambda topic=topic: list(_messages(reader, topic)))  # once, when first needed
+            found.append(_content(topic, str(info.msgtype), decoded, first, int(info.msgcount)))
+    return [content for content in found if content.columns]
 
 
-class _Messages:
-    """The messages of a topic, each with the recorder's stamp [ns], decoded once when first needed."""
-
-    def __init__(self, reader: Any, topic: str) -> None:
-        self._reader, self._topic = reader, topic
-        self._rows: list[tuple[int, Any]] | None = None
-
-    def each(self) -> Iterator[tuple[int, Any]]:
-        chosen = [each for each in self._reader.connections if each.topic == self._topic]
-        for connection, stamp, data in self._reader.messages(connections=chosen):
-            yield stamp, self._reader.deserialize(data, connection.msgtype)
-
-    def rows(self) -> list[tuple[int, Any]]:
-        if self._rows is None:
-            try:
-                self._rows = list(self.each())
-            except Exception as error:
-                raise UnreadableError(str(error) or type(error).__name__) from None
-        return self._rows
+def _messages(reader: Any, topic: str) -> Iterator[Message]:
+    chosen = [each for each in reader.connections if each.topic == topic]
+    for connection, stamp, data in reader.messages(connections=chosen):
+        yield stamp, reader.deserialize(data, connection.msgtype)
 
 
-def _content(topic: str, kind: str, messages: Any, first: tuple[int, Any], count: int) -> Content:
-    columns = []
-    for path in _numbers(first[1]):
-        columns.append(Column(_name(path, first[1]), _unit(path, first[1], kind), partial(_column, messages, path)))
+def _content(topic: str, kind: str, messages: Callable[[], Sequence[Message]], first: Message, count: int) -> Content:
+    columns = [Column(_name(path, first[1]), _unit(path, first[1], kind), partial(_column, messages, path))
+               for path in _numbers(first[1])]
     headed = _header_stamp(first[1]) not in (None, 0)
     shown = f"the stamps {'of the headers' if headed else 'of the recorder'} of its messages"
 
     def stamps() -> NDArray[Any]:
-        return np.array([(_header_stamp(message) or 0) if headed else stamp for stamp, message in messages.rows()],
+        return np.array([(_header_stamp(message) or 0) if headed else stamp for stamp, message in messages()],
                         dtype="M8[ns]")
 
     return Content(topic, columns, stamps, shown, rows=count)
 
 
-def _column(messages: Any, path: Sequence[str | int]) -> NDArray[np.float64]:
-    return np.array([_at(message, path) for _, message in messages.rows()])
+def _column(messages: Callable[[], Sequence[Message]], path: Sequence[str | int]) -> NDArray[np.float64]:
+    return np.array([_at(message, path) for _, message in messages()])
 
 
 def _header_stamp(message: Any) -> int | None:
@@ -166,14 +142,6 @@ def _at(message: Any, path: Sequence[str | int]) -> float:
     return float(item) if isinstance(item, bool | int | float | np.number | np.bool_) else float("nan")
 
 
-class _JsonMessages:
-    def __init__(self, rows: list[tuple[int, Any]]) -> None:
-        self._rows = rows
-
-    def rows(self) -> list[tuple[int, Any]]:
-        return self._rows
-
-
 def _json_topics(path: Path) -> list[Content]:
     """The topics of an MCAP file whose messages are JSON; none where there are others."""
     from mcap.reader import make_reader  # noqa: PLC0415
@@ -184,10 +152,10 @@ def _json_topics(path: Path) -> list[Content]:
         channels = list(summary.channels.values()) if summary is not None else []
         if not channels or any(channel.message_encoding != "json" for channel in channels):
             return []
-        rows: dict[tuple[str, str], list[tuple[int, Any]]] = {}
+        rows: dict[tuple[str, str], list[Message]] = {}
         for schema, channel, message in reader.iter_messages():
             package, _, name = (schema.name if schema is not None else "").partition("/")
             kind = f"{package}/msg/{name.removeprefix('msg/')}"
             rows.setdefault((channel.topic, kind), []).append((message.log_time, json.loads(message.data)))
-    return [_content(topic, kind, _JsonMessages(found), found[0], len(found))
+    return [_content(topic, kind, partial(list, found), found[0], len(found))
             for (topic, kind), found in rows.items() if len(found) > 1]

@@ -14,10 +14,6 @@ WIDEST = 64
 """Columns of an array that are read as channels; an array with more of them is an image or a cloud of points."""
 
 
-class UnreadableError(Exception):
-    """What is wrong with a file, in a few words."""
-
-
 @dataclass(frozen=True)
 class Column:
     """A column: its `name`, `unit` (empty where the file states none), and how its values (N,) are read."""

@@ -9,25 +9,14 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
-from hydroopt.logs.formats.decoders.content import Content, UnreadableError, sheets_of_arrays
+from hydroopt.logs.formats.decoders.content import Content, sheets_of_arrays
 
 
 def contents(path: Path) -> list[Content]:
-    """The sheets of a file: vectors, and rows or columns of matrices, by length.
-
-    Raises:
-        UnreadableError: it is damaged.
-    """
-    try:
-        content = loadmat(path)
-    except MemoryError:
-        raise
-    except Exception as error:  # whatever SciPy raises, the file is at fault
-        raise UnreadableError(str(error) if isinstance(error, ValueError | MatReadError) else "it is damaged") from None
+    """The sheets of a file: vectors, and rows or columns of matrices, by length."""
     return sheets_of_arrays({name: (value.shape, "", partial(np.asarray, value))
-                             for variable, each in content.items() if not variable.startswith("__")
+                             for variable, each in loadmat(path).items() if not variable.startswith("__")
                              for name, value in _matrices(variable, each)})
 
 

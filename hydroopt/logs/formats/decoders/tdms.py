@@ -10,43 +10,27 @@ import numpy as np
 from nptdms import TdmsFile
 from numpy.typing import NDArray
 
-from hydroopt.logs.formats.decoders.content import Column, Content, UnreadableError
+from hydroopt.logs.formats.decoders.content import Column, Content
 
 
 def contents(path: Path) -> list[Content]:
-    """The groups of a file, by length and step; channels with a step have stamps of their own.
-
-    Raises:
-        UnreadableError: it is damaged.
-    """
-    try:
-        file = TdmsFile.open(str(path))
-        found = []
-        for group in file.groups():
-            alike: dict[tuple[int, float, str], list[Any]] = {}
-            for channel in group.channels():
-                if len(channel) > 1 and channel.dtype.kind in "fiumM":
-                    step = float(channel.properties.get("wf_increment", 0) or 0)
-                    moment = str(channel.properties.get("wf_start_time", ""))
-                    alike.setdefault((len(channel), step, moment), []).append(channel)
-            for k, ((rows, step, _), channels) in enumerate(alike.items()):
-                columns = [Column(channel.name, str(channel.properties.get("unit_string", "")).strip(),
-                                  partial(_values, channel)) for channel in channels]
-                name = group.name if k == 0 else f"{group.name} {k + 1}"
-                stamps = partial(_stamps, channels[0]) if step > 0 else None
-                found.append(Content(name, columns, stamps, rows=rows))
-    except UnreadableError:
-        raise
-    except Exception as error:  # whatever the library raises, the file is at fault
-        raise UnreadableError(str(error) or type(error).__name__) from None
+    """The groups of a file, by length and step; channels with a step have stamps of their own."""
+    file = TdmsFile.open(str(path))
+    found = []
+    for group in file.groups():
+        alike: dict[tuple[int, float, str], list[Any]] = {}
+        for channel in group.channels():
+            if len(channel) > 1 and channel.dtype.kind in "fiumM":
+                step = float(channel.properties.get("wf_increment", 0) or 0)
+                moment = str(channel.properties.get("wf_start_time", ""))
+                alike.setdefault((len(channel), step, moment), []).append(channel)
+        for k, ((rows, step, _), channels) in enumerate(alike.items()):
+            columns = [Column(channel.name, str(channel.properties.get("unit_string", "")).strip(),
+                              partial(channel.__getitem__, slice(None))) for channel in channels]
+            name = group.name if k == 0 else f"{group.name} {k + 1}"
+            stamps = partial(_stamps, channels[0]) if step > 0 else None
+            found.append(Content(name, columns, stamps, rows=rows))
     return found
-
-
-def _values(channel: Any) -> NDArray[Any]:
-    try:
-        return np.asarray(channel[:])
-    except Exception as error:
-        raise UnreadableError(str(error) or type(error).__name__) from None
 
 
 def _stamps(channel: Any) -> NDArray[Any]:

@@ -8,28 +8,21 @@ from pathlib import Path
 
 import python_calamine as calamine
 
-from hydroopt.logs.formats.decoders.content import Content, UnreadableError
+from hydroopt.logs.formats.decoders.content import Content
 
 COMMA = re.compile(r"([+-]?\d+),(\d+)")
 """A number as text, with one comma."""
 
 
 def contents(path: Path) -> list[Content]:
-    """The worksheets that hold cells, with tabs between columns.
-
-    Raises:
-        UnreadableError: it is damaged.
-    """
-    try:
-        book = calamine.CalamineWorkbook.from_path(str(path))
-        found = []
-        for name in book.sheet_names:
-            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=True)
-            if rows:
-                lines = ("\t".join(row) for row in _with_points([[_text(cell) for cell in row] for row in rows]))
-                found.append(Content(name, table="\n".join(lines).encode(), rows=len(rows)))
-    except Exception as error:  # whatever the library raises, the file is at fault
-        raise UnreadableError(str(error) or type(error).__name__) from None
+    """The worksheets that hold cells, with tabs between columns."""
+    book = calamine.CalamineWorkbook.from_path(str(path))
+    found = []
+    for name in book.sheet_names:
+        rows = book.get_sheet_by_name(name).to_python(skip_empty_area=True)
+        if rows:
+            lines = ("\t".join(row) for row in _with_points([[_text(cell) for cell in row] for row in rows]))
+            found.append(Content(name, table="\n".join(lines).encode(), rows=len(rows)))
     return found
 
 

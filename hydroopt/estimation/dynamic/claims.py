@@ -1,4 +1,4 @@
-"""What an identified model can be used for: predicting forces, single masses, weighing a load, control."""
+"""How wrong an identified model is: forces that it predicts, single masses, loads that it weighs, control."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
+from hydroopt.estimation.dynamic.left_out import LEVEL
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.machine.actuators import Actuator, Drive
@@ -25,7 +26,7 @@ from hydroopt.results.answer import CommandLine
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.readable import percentage, readable
-from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
+from hydroopt.results.verdict import NORMAL, About, Action, Claim, NextStep, Purpose, Usable, judged
 from hydroopt.spatial.inertia import Array
 
 POSTURES, DRAWS = 200, 400
@@ -36,8 +37,9 @@ SLOW = 0.1
 """Speed at which a load is weighed, as a part of the logs' RMS speed."""
 WEIGHED = 5.0
 """Seconds over which readings are averaged when a load is weighed."""
-UPPER = 1.645
-"""Standard deviations by which the squared error in a log of finite length is raised, so that it holds in 95 %."""
+GAIN, TILT = 0.01, np.radians(0.5)
+"""Standard deviations where the machine file states none: of the scale of force readings with their areas, since
+transmitters of mobile machines state 0.5 to 1 % of full scale, and of the tilt [rad] of a base levelled by a vial."""
 RANGE = 4.0
 """Range of a force in its standard deviations."""
 TO_SCALE = "true to the stated areas and sensors' scales"
@@ -46,6 +48,7 @@ WORKING_PRESSURE = 2e7
 """Pressure [Pa] up to which an actuator works at least that states no relief pressure."""
 LOADED = 1e-6
 """Part of the largest effect of a load from which on it counts as loading a balance or joint."""
+_OF_INSTRUMENTS = "with scale errors of the force readings, of areas, and tilt of the base"
 _OF_PRIOR = "mostly the machine file's confidence"
 _SEVERITY = (Usable.YES, Usable.UNTESTED, Usable.NO)
 
@@ -59,7 +62,7 @@ def scale_assumed() -> Diagnostic:
         "(--known).")
 
 
-def uses(found: Identification, parameters: ParameterTable) -> tuple[Use, ...]:
+def claims(found: Identification, parameters: ParameterTable) -> tuple[Claim, ...]:
     """What an identification with this table of parameters can be used for, by the figures alone."""
     spread = _spread(found)
     forces = tuple(_forces(found, spread))
@@ -118,58 +121,85 @@ def _regressor(found: Identification, *states: Array) -> Array:
     return model.over(model.linearised, *states, found.psi)[0]
 
 
-def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
-    """Force prediction of each balance that something drives, by the model's own error without the sensors' noise."""
-    held_out = found.fit.get("validation")
-    own = _own_error(found)
-    if spread is None:
-        untested = "the method states no intervals"
-    else:
-        untested = "" if held_out else "no log was held out"
-        errors = _regressor(found, *_states(found)) @ spread.T
-        own = np.hypot(own, np.quantile(np.sqrt(np.mean(errors**2, axis=0)), 0.95, axis=1))
-    logs = len(found.problem.validation)
-    condition = (f"RMS without the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
-                 "all postures at such speeds") if held_out else ""
-    for each in found.problem.model.machine.unmeasured_joints:
-        yield Use(Purpose.FORCES, each.joint, Usable.NO,
-                  reason=f"{' and '.join(each.unmeasured)} not measured, so that no log tells the force there")
-    for k, balance in enumerate(found.problem.model.machine.balances):
-        fit = (held_out or found.fit["train"]).get(balance.name)
-        if fit is None or balance.name not in found.fit["train"]:
-            trained = balance.name in found.fit["train"]
-            yield Use(Purpose.FORCES, balance.name, Usable.UNTESTED if trained else Usable.NO,
-                      reason=f"no {'held-out' if trained else 'training'} log tells its force")
-            continue
-        if not balance.actuators or not np.isfinite(fit.vaf):
-            continue
-        variation = fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf
-        yield judged(Purpose.FORCES, balance.name, float(own[k]), balance.unit, float(own[k]) / (RANGE * variation),
-                     condition=condition, untested=untested)
+def _forces(found: Identification, spread: Array | None) -> Iterator[Claim]:
+    """Force prediction of each balance that something drives: as these sensors read it, and the true force.
 
-
-def _own_error(found: Identification) -> Array:
-    """Upper bound (r,) of the RMS that residuals have beside white noise, held out if any are.
-
-    What neighbouring samples have in common is the model's: the mean of their products is the variance of residuals
-    less that of white noise, whatever accuracy the file states. Noise that is not white counts as the model's.
+    The error along motions like those of the logs is that of blocks left out. In postures that no log visits there is
+    the error by the intervals besides.
     """
+    left, machine = found.left_out, found.problem.model.machine
+    for each in machine.unmeasured_joints:
+        yield Claim(Purpose.FORCE, each.joint, Usable.NO,
+                  reason=f"{' and '.join(each.unmeasured)} not measured, so that no log tells the force there")
+    reading = np.full(len(machine.balances), np.nan) if left is None else left.bound
+    if spread is not None:
+        errors = _regressor(found, *_states(found)) @ spread.T
+        reading = np.hypot(reading, np.quantile(np.sqrt(np.mean(errors**2, axis=0)), LEVEL, axis=1))
+    truth = np.hypot(np.sqrt(np.maximum(reading**2 - _white(found) ** 2, 0.0)), _of_instruments(found))
+    condition = _region(found)
+    for k, balance in enumerate(machine.balances):
+        fits = [table[balance.name] for table in found.fit.values() if balance.name in table]
+        if balance.name not in found.fit["train"]:
+            yield Claim(Purpose.FORCE, balance.name, Usable.NO, reason="no training log tells its force")
+            continue
+        if not balance.actuators:
+            continue
+        variation = max((fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf for fit in fits
+                         if np.isfinite(fit.vaf)), default=np.nan)
+        untested = ("the method states no intervals" if spread is None else "" if left is not None and left.tested[k]
+                    else "too few parts of the logs can be predicted without them")
+        for about, bound in ((About.READING, reading[k]), (About.TRUTH, truth[k])):
+            said = condition if about is About.READING else f"{condition}; {_OF_INSTRUMENTS}"
+            yield judged(Purpose.FORCE, balance.name, float(bound), balance.unit, float(bound) / (RANGE * variation),
+                         condition=said, untested=untested, about=about)
+
+
+def _region(found: Identification) -> str:
+    """The motions that were left out and predicted, in words."""
+    machine, ranges = found.problem.model.machine, []
+    motions = [data.plotted.motion for data in (*found.problem.experiments, *found.problem.validation)]
+    for j, joint in enumerate(machine.joints):
+        q = np.concatenate([motion.q[motion.interior, j] for motion in motions])
+        speed = max(float(np.max(np.abs(motion.qd[motion.interior, j]), initial=0.0)) for motion in motions)
+        turns = machine.position_unit(joint) == "rad"
+        low, high, fast = np.array([q.min(initial=0.0), q.max(initial=0.0), speed]) * (180 / np.pi if turns else 1.0)
+        unit = "°" if turns else " m"
+        ranges.append(f"{joint} {low:.3g}…{high:.3g}{unit} up to {fast:.2g}{unit}/s")
+    return f"RMS of motions like those of the logs, recorded the same day ({', '.join(ranges)})"
+
+
+def _white(found: Identification) -> Array:
+    """Standard deviation (r,) of the readings' white noise: what neighbouring residuals do not have in common."""
     problem, which = found.problem, "validation" if found.problem.validation else "train"
-    products, squares, pairs = np.zeros((3, len(found.sigma)))
+    steps, pairs = np.zeros((2, len(found.sigma)))
     for data, predicted in zip(problem.validation or problem.experiments, found.predictions[which], strict=True):
         shown = data.plotted
         taken = shown.inside[:, None] & shown.known
-        residual = np.where(taken, shown.force - predicted, 0.0)
         both = taken[1:] & taken[:-1] & (np.diff(shown.motion.segment) == 0)[:, None]
-        products += np.sum(np.where(both, residual[1:] * residual[:-1], 0.0), axis=0)
-        squares += np.sum(np.where(both, (residual[1:] ** 2 + residual[:-1] ** 2) / 2, 0.0), axis=0)
+        change = np.diff(np.where(taken, shown.force - predicted, 0.0), axis=0)
+        steps += np.sum(np.where(both, change**2, 0.0), axis=0)
         pairs += both.sum(axis=0)
-    count = np.maximum(pairs, 1.0)
-    independent = np.maximum(count / np.maximum(found.correlation_time, 1.0), 1.0)
-    return np.asarray(np.sqrt(np.maximum(products / count, 0.0) + UPPER * squares / count / np.sqrt(independent)))
+    return np.asarray(np.sqrt(steps / 2 / np.maximum(pairs, 1.0)))
 
 
-def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
+def _of_instruments(found: Identification) -> Array:
+    """What scale errors of force readings and areas and a tilt of the base make of each force (r,), at 95 %."""
+    machine, model = found.problem.model.machine, found.problem.model
+    gain, tilt = machine.faults.gain or GAIN, machine.faults.tilt or TILT
+    pull = np.asarray(gravity_in_base(machine), dtype=float).ravel()
+    squares, counts = np.zeros((2, len(found.sigma)))
+    for data in found.problem.experiments:
+        shown = data.plotted
+        rows = np.flatnonzero(shown.inside)[:: max(1, int(np.sum(shown.inside)) // POSTURES)]
+        force = np.where(np.isfinite(shown.force[rows]), shown.force[rows], 0.0)
+        weights = model.over(model.gravity_forces, shown.motion.q[rows], found.psi)[0]
+        tilted = [weights @ np.cross(axis, pull) for axis in np.eye(3)]
+        squares += np.sum((gain * force) ** 2 + tilt**2 * np.sum(np.square(tilted), axis=0), axis=0)
+        counts += len(rows)
+    return np.asarray(NORMAL * np.sqrt(squares / np.maximum(counts, 1.0)))
+
+
+def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Claim]:
     """Single masses, each with its 95 % interval, and those of links with what is pinned to them."""
     names, scale = found.problem.parameters.names, _scale(found)
     places = found.problem.parameters.places(ParameterKind.MASS)
@@ -195,12 +225,12 @@ def _scale(found: Identification) -> str:
 
 
 def _mass(name: str, value: float | None, interval: tuple[float, float] | None, from_data: float, unknown: str,
-          scale: str, row: ParameterRow | None = None) -> Use:
-    make = partial(judged, Purpose.MASSES, name)
+          scale: str, row: ParameterRow | None = None) -> Claim:
+    make = partial(judged, Purpose.MASS, name)
     if row is not None and row.identifiability == "fixed":
-        return Use(Purpose.MASSES, name, Usable.UNTESTED, reason="held at a value")
+        return Claim(Purpose.MASS, name, Usable.UNTESTED, reason="held at a value")
     if value is None or not np.isfinite(value):
-        return Use(Purpose.MASSES, name, Usable.NO, reason=unknown)
+        return Claim(Purpose.MASS, name, Usable.NO, reason=unknown)
     if interval is None:
         return make(np.nan, "kg", np.nan, untested="the method states no intervals")
     half = (interval[1] - interval[0]) / 2
@@ -208,7 +238,7 @@ def _mass(name: str, value: float | None, interval: tuple[float, float] | None, 
                 reason=_OF_PRIOR * (from_data < FROM_DATA))
 
 
-def expected_mass(row: ParameterRow) -> Use:
+def expected_mass(row: ParameterRow) -> Claim:
     """A mass before it is measured: whether logs that are to come will determine it.
 
     Args:
@@ -216,14 +246,14 @@ def expected_mass(row: ParameterRow) -> Use:
     """
     if row.std is None or not row.nominal or row.identifiability == NONE:
         never = row.identifiability == NONE
-        return Use(Purpose.MASSES, row.name, Usable.NO,
+        return Claim(Purpose.MASS, row.name, Usable.NO,
                    reason="not identified by any motion" if never else "not separable from others by this motion")
     half, from_data = NORMAL * row.std, row.information_from_data or 0.0
-    return judged(Purpose.MASSES, row.name, half, "kg", half / abs(row.nominal), condition="expected 95 % intervals",
+    return judged(Purpose.MASS, row.name, half, "kg", half / abs(row.nominal), condition="expected 95 % intervals",
                   reason=_OF_PRIOR * (from_data < FROM_DATA))
 
 
-def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
+def _weighing(found: Identification, spread: Array | None) -> Iterator[Claim]:
     """The error of a load at the tip that is weighed by the forces of a slow lift, without weighing the empty machine.
     """
     model, rng = found.problem.model, np.random.default_rng(1)
@@ -311,45 +341,47 @@ def _of_capacity(most: Capacity) -> str:
     return f"{held} at {most.pressure / 1e5:.0f} bar{state}"
 
 
-def _control(found: Identification, forces: tuple[Use, ...]) -> Iterator[Use]:
+def _control(found: Identification, forces: tuple[Claim, ...]) -> Iterator[Claim]:
     """Feedforward and gravity compensation: as good as the worst actuator, if a machine can have these numbers."""
     if not forces:
         return
-    worst = max(forces, key=lambda use: (_SEVERITY.index(use.usable), use.part or 0.0))
-    condition = "feedforward and gravity compensation; valves and oil are not part of it"
+    worst = max((each for each in forces if each.about is About.READING or each.bound is None),
+                key=lambda each: (_SEVERITY.index(each.usable), each.part or 0.0))
+    condition = "feedforward and gravity compensation by the worst actuator; valves and oil are not part of it"
     try:
         calibrated_machine(found)
         broken = ""
     except ProblemError as error:
         broken = f"no machine can have these numbers: {error.what}"
-    yield judged(Purpose.CONTROL, "", np.nan, "", np.nan if worst.part is None else worst.part, condition=condition,
-                 reason=broken or (worst.reason and f"{worst.subject}: {worst.reason}") * (worst.usable is Usable.NO),
+    bound, part = (np.nan if each is None else each for each in (worst.bound, worst.part))
+    yield judged(Purpose.CONTROL, worst.of, bound, worst.unit, part, condition=condition, about=worst.about,
+                 reason=broken or worst.reason * (worst.usable is Usable.NO),
                  untested="" if broken or worst.usable is not Usable.UNTESTED else worst.reason)
 
 
-def next_steps(found: Identification, judged_uses: tuple[Use, ...], typed: CommandLine) -> tuple[NextStep, ...]:
+def next_steps(found: Identification, claims: tuple[Claim, ...], typed: CommandLine) -> tuple[NextStep, ...]:
     """What would make an identification that a command gave usable for more, or how to use it."""
-    def lacking(purpose: Purpose, usable: Usable) -> list[Use]:
-        return [use for use in judged_uses if (use.purpose, use.usable) == (purpose, usable)]
+    def lacking(purpose: Purpose, usable: Usable) -> list[Claim]:
+        return [claim for claim in claims if (claim.purpose, claim.usable) == (purpose, usable)]
 
     steps: list[NextStep] = []
-    if "validation" not in found.fit:
+    if lacking(Purpose.FORCE, Usable.UNTESTED) and "validation" not in found.fit:
         steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3.",
                               typed.again("--holdout", "0.3")))
     trained = found.fit["train"]
     steps += [NextStep(Action.MEASURE, f"For {each.joint}, {each.remedy}.")
               for each in found.problem.model.machine.unmeasured_joints]
     balances = {each.name for each in found.problem.model.machine.balances}
-    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in balances - {*trained}]:
+    if unread := [claim.of for claim in lacking(Purpose.FORCE, Usable.NO) if claim.of in balances - {*trained}]:
         steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
-    if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in trained]:
+    if weak := [claim.of for claim in lacking(Purpose.FORCE, Usable.NO) if claim.of in trained]:
         check = f"Check the accuracy of the force of {weak[0]}"
         steps.append(NextStep(Action.CHECK, f"{check}.") if typed.given("--friction", "--with-geometry") else NextStep(
             Action.CHECK, f"{check}, and try other friction terms: --friction auto.",
             typed.again("--friction", "auto")))
     names, machine = found.problem.parameters.names, found.problem.model.machine.source
     possible = {names[k] for k, category in enumerate(found.structural.category) if category == FULL}
-    if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:
+    if focus := [claim.of for claim in lacking(Purpose.MASS, Usable.NO) if claim.of in possible]:
         wanted = " ".join(f"--focus {name}" for name in focus[:3])
         steps.append(NextStep(Action.DRIVE, f"For {focus[0]}, design a motion, drive it, and add its log:",
                               f"hydroopt excite {machine} {wanted} -o motion"))
