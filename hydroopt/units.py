@@ -38,6 +38,10 @@ class UnitError(HydrooptError):
     """A quantity has no unit, an unknown unit or a unit of the wrong kind."""
 
 
+class ImplausibleError(UnitError):
+    """A quantity has a unit of the right kind, and a size that no machine has."""
+
+
 def in_print(unit: str) -> str:
     """A unit as print has it.
 
@@ -131,7 +135,7 @@ def to_si(text: str, si: str, *, where: str) -> float:
     if unit.strip() not in ("", "1") or si != "1":
         value *= factor(unit.strip(), si, where=where)
     if not plausible(value, si):
-        raise UnitError(f"{implausible(value, si)}", where=where, remedy="correct it")
+        raise ImplausibleError(implausible(value, si), where=where, remedy="correct it")
     return value
 
 

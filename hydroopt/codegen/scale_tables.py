@@ -92,7 +92,7 @@ class ScaleTables:
     @property
     def numbers(self) -> int:
         """Number of own unknowns without gravity."""
-        return self.scale.count - 2
+        return len(self.scale.known.mean)
 
     @property
     def psi(self) -> Array:
@@ -136,9 +136,9 @@ class ScaleTables:
     def values(self) -> Mapping[str, Array]:
         """What stands in the parameters, in their order."""
         scale, load = self.scale, self.scale.load
-        own = scale.own.without(slice(self.numbers, scale.count))
+        root, right = scale.known.rows
         return {"psi": scale.psi, "columns": np.hstack([scale.directions, -scale.taken, scale.carried]),
-                "root": own.root, "right": own.right, "angle_std": scale.angle_std,
+                "root": root, "right": right, "angle_std": scale.angle_std,
                 "force_std": np.where(np.isfinite(scale.force_std), scale.force_std, 0.0),
                 "read": scale.read,
                 "gravity": np.array(np.linalg.norm(scale.gravity)), "axes": scale.axes,
@@ -170,7 +170,7 @@ class ScaleTables:
 
     def state_size(self, *, single: bool) -> int:
         """Bytes of the state between calls."""
-        n, r, c, window = len(self.scale.angle_std), self.rows, self.scale.count, (self.lags + 1) * self.rows
+        n, r, c, window = len(self.scale.angle_std), self.rows, self.numbers + 2, (self.lags + 1) * self.rows
         columns, left = c + 11 + self.recent, 1 + self.recent
         reals = 13 + self.tape * (1 + 6 * n + r) + (2 * self.kernel.margin + 1) * (n + r) + c * (c + 3) + 10
         reals += (c + 10) * columns + 3 * left + window * (columns + window + 4 * n)

@@ -99,7 +99,7 @@ def position_feedback(api: Symbols) -> Routine:
     q, aim, period = api.coordinates.q, api.symbol("q_demanded", len(api.machine.joints)), api.symbol("period", 1)
     length = ca.vertcat(*(_length(api, each) for each in plant.actuators))
     position = ca.vertcat(q, length)[axes.places]
-    wanted, shares = ca.substitute([position, axes.shares_of(_lever_arms(api, plant))], [q], [aim])
+    wanted, shares = ca.substitute([position, axes.shares(_lever_arms(api, plant))], [q], [aim])
     demanded, measured, opening, before, force_gain = (api.symbol(name, count) for name in (
         "force_demanded", "force_measured", "opening_before", "speed_before", "force_gain"))
     integral, position_gain, integral_time, filter_time = (api.symbol(name, len(axes.names)) for name in (

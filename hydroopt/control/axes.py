@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
+
+Sharing = TypeVar("Sharing", Array, ca.SX)
 
 
 class Axes:
@@ -25,7 +28,8 @@ class Axes:
         plant: the machine.
         names: of the axes: the actuator's, or the shared joint's.
         actuators: of each axis, their places in `Plant.actuators`.
-        of: the axis (a,) of each actuator.
+        of: the axis (a,) of each actuator; own: 1 there (a, m), 0 elsewhere.
+        joints: of each axis, the place of its joint.
         places: of the axes' positions (m,) among those of the joints and the lengths of actuators behind them.
 
     >>> from hydroopt.machine.machine_file import load_machine
@@ -43,9 +47,13 @@ class Axes:
                            for joint, places in plant.drivers.items())
         self.of = np.array([next(i for i, places in enumerate(self.actuators) if k in places)
                             for k in range(len(plant.actuators))])
-        self._joints = [plant.machine.joints.index(joint) for joint in plant.drivers]
+        self.joints = [plant.machine.joints.index(joint) for joint in plant.drivers]
+        self.own: Array = np.eye(len(self.names))[self.of]
+        self._joint: Array = np.eye(len(plant.machine.joints))[:, self.joints]
+        self._shared: Array = self.own * np.array([len(places) > 1 for places in self.actuators])
+        self._alone = self.own - self._shared
         self.places = np.array([joint if len(places) > 1 else len(plant.machine.joints) + places[0]
-                                    for joint, places in zip(self._joints, self.actuators, strict=True)])
+                                    for joint, places in zip(self.joints, self.actuators, strict=True)])
 
     @property
     def one_each(self) -> bool:
@@ -54,37 +62,25 @@ class Axes:
 
     def units(self, axis: int) -> str:
         """Unit of an axis' position: m or rad."""
-        return self.plant.machine.position_unit(self.plant.machine.joints[self._joints[axis]])
+        return self.plant.machine.position_unit(self.plant.machine.joints[self.joints[axis]])
 
     def positions(self, q: Array, length: Array) -> Array:
         """Positions (..., m) of the axes from those of joints (..., n) and the lengths of actuators (..., a)."""
-        return np.concatenate([q, length], axis=-1)[..., self.places]
+        return np.asarray(np.concatenate([q, length], axis=-1)[..., self.places])
 
     def slopes(self, lever_arm: Array) -> Array:
         """Speeds (m, n) of the axes per speed of each joint, at lever arms (a, n)."""
-        joints = np.eye(lever_arm.shape[1])
-        return np.array([joints[self._joints[i]] if len(places) > 1 else lever_arm[places[0]]
-                         for i, places in enumerate(self.actuators)])
+        return np.asarray(np.vstack([np.eye(lever_arm.shape[1]), lever_arm])[self.places])
 
-    def shares(self, lever_arm: Array) -> Array:
-        """Speeds (..., a, m) of the actuators per speed of their own axis, at lever arms (..., a, n)."""
-        made = np.zeros((*lever_arm.shape[:-1], len(self.names)))
-        for i, places in enumerate(self.actuators):
-            for k in places:
-                made[..., k, i] = lever_arm[..., k, self._joints[i]] if len(places) > 1 else 1.0
-        return made
-
-    def shares_of(self, lever_arm: ca.SX) -> ca.SX:
-        """`shares` (a, m) of symbolic lever arms (a, n)."""
-        made = ca.SX(len(self.of), len(self.names))
-        for i, places in enumerate(self.actuators):
-            for k in places:
-                made[k, i] = lever_arm[k, self._joints[i]] if len(places) > 1 else 1
+    def shares(self, lever_arm: Sharing) -> Sharing:
+        """Speeds (..., a, m) of the actuators per speed of their own axis, at lever arms (..., a, n), or symbolic ones.
+        """
+        made: Sharing = lever_arm @ self._joint * self._shared + self._alone
         return made
 
     def shares_along(self, q: Array) -> Array:
         """`shares` (N, a, m) in postures (N, n)."""
-        return self.shares(self.plant.model.over(self.plant.transmission, q)[0])
+        return np.asarray(self.shares(self.plant.model.over(self.plant.transmission, q)[0]))
 
     def open(self, opening: Array) -> NDArray[np.bool_]:
         """Whether no valve (a,) of an axis (m,) is fully open."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.linear_plant import Point, Reading, readings, signals
+from hydroopt.control.linear_plant import SHORTEST, Point, Reading, readings, signals
 from hydroopt.control.reference import Demand
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.valve_refit import ValveRefit
@@ -19,9 +19,6 @@ from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from control import StateSpace
-
-SHORTEST = 1e-9
-"""Time constant [s] of a low pass that passes everything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +61,52 @@ def feedback(axes: Axes, error: ca.SX, shares: ca.SX, force_error: ca.SX, openin
     return pole * filtered + (1 - pole) * demanded, integral + free * period * error / gains.integral_time
 
 
+class Feedback:
+    """The feedback of a cascade: sample by sample, and as a linear system.
+
+    Attributes:
+        axes: of the machine.
+        period: of the samples [s].
+        step: (filtered (a,), integral (m,), error (m,), force_error, opening (a,), shares (a, m), gains) → the first
+            two for the next sample, see `feedback`.
+    """
+
+    def __init__(self, axes: Axes, period: float) -> None:
+        m, a = len(axes.names), len(axes.of)
+        self.axes, self.period = axes, period
+        filtered, integral, error, force_error, opening = state = [ca.SX.sym(name, size) for name, size in (
+            ("filtered", a), ("integral", m), ("error", m), ("force_error", a), ("opening", a))]
+        shares, *gains = rest = [ca.SX.sym("shares", a, m), *(ca.SX.sym(name, size) for name, size in (
+            ("position", m), ("force", a), ("integral_time", m), ("filter_time", m)))]
+        after = feedback(axes, error, shares, force_error, opening, filtered, integral, Gains(*gains), ca.SX(period))
+        self.step = OneSample(ca.Function("feedback", [*state, *rest], after))
+        self._derivatives = ca.Function("derivatives", rest, [ca.densify(ca.substitute(
+            ca.jacobian(ca.vertcat(*after), ca.vertcat(*some)), ca.vertcat(*state), ca.DM.zeros(3 * a + 2 * m)))
+            for some in (state[:2], state[2:4])])
+
+    def linear(self, shares: Array, gains: Gains) -> tuple[Array, Array]:
+        """Derivatives (a + m, ...) of the added speeds and of the integrals for the next sample while no valve is fully
+        open: by those before, and by the errors of positions (m,) and forces (a,).
+        """
+        by_before, by_errors = self._derivatives(shares, *vars(gains).values())
+        return np.asarray(by_before), np.asarray(by_errors)
+
+    def about(self, point: Point, valves: Valves, gains: Gains) -> StateSpace:
+        """The linearised controller: from q, forces and supply pressure to commands."""
+        import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
+
+        (a, n), axes = point.lever_arm.shape, self.axes
+        slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
+        A, by_errors = self.linear(axes.shares(point.lever_arm), gains)
+        B = -by_errors @ block_diag(axes.slopes(point.lever_arm), np.hstack([np.eye(a), np.zeros((a, 1))]))
+        by_supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
+        return control.ss(
+            A, B, slopes.speed[:, None] * A[:a], slopes.speed[:, None] * B[:a] + by_supply, self.period,
+            states=signals([*(f"{each.actuator.name}.filtered" for each in axes.plant.actuators),
+                            *(f"{name}.integral" for name in axes.names)]),
+            inputs=readings(axes.plant), outputs=signals(axes.plant.inputs))
+
+
 class Cascade:
     """v = v_r + K_x·(e + ∫e/T_i) + K_f·(f_r − f), and the command at which the valve gives this speed.
 
@@ -83,7 +126,7 @@ class Cascade:
                  refit: ValveRefit | None = None) -> None:
         self.valves, self.demand, self.gains, self.period, self.refit = valves, demand, gains, period, refit
         self.axes = Axes(valves.plant)
-        self._pole = np.exp(-period / np.maximum(gains.filter_time[self.axes.of], SHORTEST))
+        self._feedback = Feedback(self.axes, period)
         self._position, self._shares = self.axes.positions(demand.q, demand.length), self.axes.shares_along(demand.q)
         self.reset()
 
@@ -96,29 +139,17 @@ class Cascade:
 
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (a,) at sample k from the readings."""
-        demand, preview, gains = self.demand, self.demand.preview, self.gains
+        demand, preview = self.demand, self.demand.preview
         error = self._controlled(k, self._position[k] - self.axes.positions(reading.q, reading.length))
-        self._filtered, self._integral = self._feedback(
-            error, self._shares[k], demand.measured_force[k] - reading.force, self._opening, self._filtered,
-            self._integral, gains.position, gains.force, gains.integral_time, gains.filter_time)
+        self._filtered, self._integral = self._feedback.step(
+            self._filtered, self._integral, error, demand.measured_force[k] - reading.force, self._opening,
+            self._shares[k], *vars(self.gains).values())
         factors = self.refit.read(reading) if self.refit else None
         command, self._opening = self.valves.command(self._speed(k, reading), preview.force_rate[k], preview.length[k],
                                                      preview.pressure[k], reading.supply, factors)
         if self.refit:
             self.refit.sent(command)
         return command
-
-    @cached_property
-    def _feedback(self) -> OneSample:
-        """(errors (m,), shares (a, m), errors of forces, openings, filtered (a,), integral (m,), gains) → filtered,
-        integral."""
-        m, a = len(self.axes.names), len(self.axes.of)
-        sizes = {"error": (m, 1), "shares": (a, m), "force_error": (a, 1), "opening": (a, 1), "filtered": (a, 1),
-                 "integral": (m, 1)} | {key: (len(values), 1) for key, values in vars(self.gains).items()}
-        given = [ca.SX.sym(name, *size) for name, size in sizes.items()]
-        error, shares, force_error, opening, filtered, integral, *gains = given
-        return OneSample(ca.Function("feedback", given, feedback(
-            self.axes, error, shares, force_error, opening, filtered, integral, Gains(*gains), ca.SX(self.period))))
 
     def _controlled(self, k: int, error: Array) -> Array:
         """The part of the axes' errors (m,) that position control answers for: all of it."""
@@ -129,30 +160,5 @@ class Cascade:
         return np.asarray(self.demand.preview.speed[k] + self._filtered)
 
     def linear(self, point: Point) -> StateSpace:
-        """The linearised controller: from q, forces and supply pressure to commands.
-
-        It has two kinds of states: the integral of each axis, and the filter of each actuator.
-        """
-        return linear_feedback(self.axes, self.valves, self.gains, self.period, point)
-
-
-def linear_feedback(axes: Axes, valves: Valves, gains: Gains, period: float, point: Point) -> StateSpace:
-    """What `Cascade.linear` returns, of any gains."""
-    import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
-
-    pole = np.diag(np.exp(-period / np.maximum(gains.filter_time[axes.of], SHORTEST)))
-    a, m, n = len(pole), len(gains.position), len(point.q)
-    rest, along, shares = np.eye(a) - pole, axes.slopes(point.lever_arm), axes.shares(point.lever_arm)
-    slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
-    regulated, by_speed = shares * gains.position, np.diag(slopes.speed)
-    to_feedback = np.hstack([-regulated @ along, -np.diag(gains.force), np.zeros((a, 1))])
-    to_integral = np.hstack([-np.diag(period / gains.integral_time) @ along, np.zeros((m, a + 1))])
-    by_integral = rest @ regulated
-    supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-    return control.ss(
-        np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
-        np.vstack([to_integral, rest @ to_feedback]),
-        by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, period,
-        states=signals([*(f"{name}.integral" for name in axes.names),
-                        *(f"{each.actuator.name}.filtered" for each in axes.plant.actuators)]),
-        inputs=readings(axes.plant), outputs=signals(axes.plant.inputs))
+        """See `Feedback.about`."""
+        return self._feedback.about(point, self.valves, self.gains)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hydroopt.control.linear_plant import Reading
+from hydroopt.control.linear_plant import SHORTEST, Reading, in_samples
 from hydroopt.control.reference import Demands, offset
 from hydroopt.errors import SolverError
 from hydroopt.kernels.integrator import IntegrationError
@@ -70,43 +70,33 @@ class Sensors:
     """Readings of angles, chamber pressures and supply pressure, with the errors, lags and rates that the machine file
     states."""
 
-    def __init__(self, plant: Plant, offsets: Array, bias: Array | None, period: float, seed: int | None,
-                 samples: int) -> None:
-        machine = plant.machine
-        self.channels = [*(f"{joint}.q" for joint in machine.joints),
-                         *(name for each in plant.actuators for name in each.chambers), "pump.p_supply"]
+    def __init__(self, plant: Plant, offsets: Array, bias: Array | None, period: float, seed: int | None) -> None:
+        machine, n = plant.machine, len(plant.machine.joints)
+        channels = [*(f"{joint}.q" for joint in machine.joints),
+                    *(name for each in plant.actuators for name in each.chambers), "pump.p_supply"]
         self.areas = np.array([each.areas for each in plant.actuators])
-        self.added = np.zeros(len(self.channels))
+        self.added = np.zeros(len(channels))
         # the offset of the measured force is added to the pressure of chamber a
-        self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
+        self.added[n:-1:2] = offsets / self.areas[:, 0]
         if bias is not None:
-            self.added[:len(machine.joints)] = bias
-        self.noise, self.step = np.zeros((samples, len(self.channels))), np.zeros(len(self.channels))
-        self.every = np.ones(len(self.channels), dtype=int)
-        rng = np.random.default_rng(seed)
-        for k, sensor in enumerate(map(machine.sensor, self.channels)):
-            if sensor is not None and sensor.rate:  # one slower than the controller holds its last reading in between
-                self.every[k] = max(1, round(1 / (sensor.rate * period)))
-            if sensor is not None and seed is not None:
-                self.noise[:, k] = sensor.model_copy(update={"resolution": 0.0}).read(self.noise[:, k], rng)
-                self.step[k] = sensor.resolution
-        self.stepped, self.always = np.flatnonzero(self.step), bool(np.all(self.every == 1))
-        self.held = np.zeros(len(self.channels))
-        lags = np.array([machine.lag(name).value for name in self.channels])
-        self.follows = -np.expm1(-period / np.maximum(lags, 1e-12)) if np.any(lags > 0) else None
+            self.added[:n] = bias
+        self.sensors = [machine.sensor(name) for name in channels]
+        # one slower than the controller holds its last reading in between
+        self.every = [max(1, round(1 / (each.rate * period))) if each and each.rate else 1 for each in self.sensors]
+        lags = np.array([machine.lag(name).value for name in channels])
+        self.follows = -np.expm1(-period / np.maximum(lags, SHORTEST))
+        self.rng = None if seed is None else np.random.default_rng(seed)
         self.behind: Array | None = None
+        self.held = np.zeros(len(channels))
 
     def read(self, k: int, q: Array, pressure: Array, p_supply: Array | float) -> Array:
         """Readings (m,) at sample k."""
         true = np.concatenate([q, pressure.ravel(), [p_supply]]) + self.added
-        if self.follows is not None:
-            before = true if self.behind is None else self.behind
-            true = self.behind = before + self.follows * (true - before)
-        read = true + self.noise[k]
-        step = self.step[self.stepped]
-        read[self.stepped] = np.round(read[self.stepped] / step) * step
-        self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
-        return self.held
+        self.behind = true if self.behind is None else self.behind + self.follows * (true - self.behind)
+        for i, (sensor, every) in enumerate(zip(self.sensors, self.every, strict=True)):
+            if k % every == 0:
+                self.held[i] = sensor.read(self.behind[i:i + 1], self.rng)[0] if sensor else self.behind[i]
+        return self.held.copy()
 
 
 def reading_std(machine: Machine, channel: str, least: float = LEAST_STD) -> float:
@@ -137,7 +127,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
     machine, n, period, supply = plant.machine, len(plant.machine.joints), float(t[1] - t[0]), plant.supply
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
-    sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed, len(t))
+    sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed)
     delay = CommandDelay(plant.delays, period, steady.u)
     integrator, motion = plant.integrator(psi, theta), OneSample(demands.plant.actuator_motion)
     lower, upper = machine.ranges.T
@@ -154,7 +144,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
         readings = sensors.read(k, q, plant.chamber_pressures(x), plant.supply_pressure(x))
-        p, angles = readings[n:-1].reshape(-1, 2), readings[:n].copy()
+        p, angles = readings[n:-1].reshape(-1, 2), readings[:n]
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
         reading = Reading(angles, motion(angles, angles)[0], force, p, np.array([readings[-1], supply[1]]))
         u = np.minimum(np.maximum(controller.command(k, reading), least), most)
@@ -184,13 +174,12 @@ class CommandDelay:
     """The valves' delays: which commands act in which part of a sampling period."""
 
     def __init__(self, delays: Array, period: float, u: Array) -> None:
-        self.whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
-        part = np.round(np.maximum(delays - self.whole * period, 0.0), 12)
+        whole, part = in_samples(delays, period)
         edges = np.unique([0.0, *part, period])
-        self.starts, self.lengths = edges[:-1], np.diff(edges).tolist()
-        self.history = np.tile(u, (int(np.max(self.whole)) + 2, 1))  # newest first
+        self.lengths = np.diff(edges).tolist()
+        self.history = np.tile(u, (int(np.max(whole)) + 2, 1))  # newest first
         self.each = np.arange(len(u))
-        self.ago = [self.whole + (part > start) for start in self.starts]
+        self.ago = [whole + (part > start) for start in edges[:-1]]
         self.current = u
 
     def push(self, u: Array) -> list[tuple[float, Array]]:

@@ -11,16 +11,15 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from control import StateSpace
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.closed_loop import Run, simulate, tip
+from hydroopt.control.closed_loop import Run
 from hydroopt.control.draws import Draw, spread
-from hydroopt.control.linear_plant import Point, linearised, point, sampled
-from hydroopt.control.loops import Loops, Margin, disk_margins, frequencies, margins
+from hydroopt.control.linear_plant import Point, point
+from hydroopt.control.loops import Loops, Margin, frequencies
 from hydroopt.control.lqg import Lqg, design, reading_noise
-from hydroopt.control.reference import Demands, refuse_flow, refuse_opening
+from hydroopt.control.reference import refuse_flow, refuse_opening
 from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.errors import ProblemError
@@ -36,7 +35,7 @@ from hydroopt.results.json_file import Job
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import Action, Claim, NextStep, Purpose, Usable
+from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
 
@@ -51,8 +50,6 @@ true one may differ. Within a disk margin of 0.5 the gain may change by a factor
 both at once by less."""
 LITTLE_DAMPING = 0.02
 """Damping ratio below which an oscillation of a closed loop is reported."""
-SIGMAS = 2.0
-"""Standard deviations of valves and oil within which margins should last."""
 SATURATED = 0.01
 """Part of the time for which a valve may be fully open."""
 ROBUST = 1.3
@@ -172,6 +169,13 @@ class Comparison(Answer):
         """One outcome for each kind of loops: those of the cascade are the same whatever it is fed forward."""
         cascade = self.feedforward or self.outcomes[0]
         return [outcome for outcome in self.outcomes if outcome is cascade or not outcome.in_cascade]
+
+    @cached_property
+    def loop_responses(self) -> tuple[Array, list[Array]]:
+        """Frequencies (ω,) [rad/s], and of each of `kinds_of_loops` L(jω) (a, ω) there."""
+        loops = [outcome.loops for outcome in self.kinds_of_loops]
+        omega = frequencies([system for each in loops for system in (each.plant, each.closed)])
+        return omega, [each.responses(omega) for each in loops]
 
     @cached_property
     def lost_margins(self) -> tuple[LostMargin, ...]:
@@ -418,9 +422,8 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         return lambda text, part=None: progress(name or text, (first + (part or 0.0)) / (1 + wanted))
 
     stage(0)("linearising")
-    on_motion, in_workspace = setting.points(setting.plant, best.psi, setting.theta)
-    plants = setting.plants(setting.plant, [*on_motion, *in_workspace], best.psi, setting.theta)
-    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity, stage(0))
+    points = setting.points(setting.plant, best.psi, setting.theta)
+    gains = tuned(points, demands.valves, setting.sensitivity, stage(0))
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
@@ -432,47 +435,24 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
             demands.valves, demands.by(each.model, each.psi), gains, period)) for each in (*variants, setting.true)]
     if LQG in kinds:
         noise = reading_noise(setting.plant)
-        designs = [design(plant, each, demands.valves, gains.position, noise)
-                   for plant, each in zip(plants, on_motion, strict=False)]
+        designs = [design(each, demands.valves, gains.position, noise) for each in points if each.on_motion]
         candidates.append(("LQG", LQG, best, Lqg(demands.valves, demand, designs, period)))
-    true = setting.true_plant
-    on_motion, in_workspace = setting.points(true, setting.true.psi, setting.true_theta)
-    true_plants = setting.plants(true, [*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
-    path, outcomes = setting.reference.at(setting.t), []
-    analysed: dict[type, tuple[tuple[Margin, ...], Loops]] = {}  # all cascades have the same loops
+    points = setting.points(setting.true_plant, setting.true.psi, setting.true_theta)
+    axes, path, outcomes = Axes(setting.plant), setting.reference.at(setting.t), []
+    analysed: dict[type, list[Loops]] = {}  # all cascades have the same loops
     for k, (name, kind, variant, controller) in enumerate(candidates):
         at = stage(1 + k, name)
         at(name)
         if type(controller) not in analysed:
-            analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
-        found, loops = analysed[type(controller)]
-        refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}],
-                        setting.motion.t[-1] - setting.motion.t[0])
-        run = simulate(demands, controller, true, setting.true.psi, setting.true_theta, seed=setting.seed,
-                       bias=setting.bias, progress=at)
-        reference = path.q[:len(run.t)]
-        tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
-        outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, loops))
-    shown = [loops for _, loops in analysed.values()]
-    omega = frequencies([each for loops in shown for each in (loops.plant, loops.closed)])
-    fine = {kind: loops.at(omega) for kind, (_, loops) in analysed.items()}
-    outcomes = [replace(outcome, loops=fine[type(controller)])
-                for outcome, (*_, controller) in zip(outcomes, candidates, strict=True)]
-    return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
-
-
-def _margins(plants: Sequence[StateSpace], points: Sequence[Point], controller: Cascade | Lqg,
-             demands: Demands) -> tuple[tuple[Margin, ...], Loops]:
-    machine, names = demands.plant.machine, [each.actuator.name for each in demands.plant.actuators]
-    joints = tuple(machine.joints.index(joint) for joint in demands.plant.drivers)
-    found: list[Margin] = []
-    analysed = []
-    for plant, at in zip(plants, points, strict=True):
-        feedback = controller.linear(at)
-        here, omega, L = margins(plant, feedback, names, at.name)
-        found += here
-        analysed.append((min(m.distance for m in here), Loops(at.name, omega, L, plant, feedback, joints)))
-    return tuple(found), min(analysed, key=lambda one: one[0])[1]
+            analysed[type(controller)] = [Loops.about(each, axes, controller.linear(each)) for each in points]
+        loops = analysed[type(controller)]
+        refuse_unstable(name, [margin for one, each in zip(loops, points, strict=True) if each.on_motion
+                               for margin in one.margins], setting.motion.t[-1] - setting.motion.t[0])
+        run = setting.run(controller, at)
+        nearest = min(loops, key=lambda one: min(margin.distance for margin in one.margins))
+        outcomes.append(Outcome(name, kind, variant, run, run.q - path.q[:len(run.t)], setting.tip_error(run),
+                                tuple(margin for one in loops for margin in one.margins), nearest))
+    return Comparison(setting, gains, tuple(points), tuple(outcomes), path.q)
 
 
 def refuse_unstable(name: str, margins: Sequence[Margin], duration: float) -> None:
@@ -506,7 +486,7 @@ def margin_diagnostics(best: Outcome, lost: Sequence[LostMargin]) -> Iterator[Di
             "Leaks, friction and measured pressures damp oil: see the table of loops.", Meaning.PROPERTY)
     for loop in dict.fromkeys(each.loop for each in lost):
         own = [each for each in lost if each.loop == loop]
-        low = own[0].disk - SIGMAS * float(np.linalg.norm([each.lost for each in own]))
+        low = own[0].disk - NORMAL * float(np.linalg.norm([each.lost for each in own]))
         if low < SMALL_DISK <= own[0].disk:
             yield Diagnostic.of("margins depend on uncertain valves", (best.name,), {
                 "loop": loop, "disk": own[0].disk, "low": max(low, 0.0), "point": best.loops.point,
@@ -529,28 +509,26 @@ def lost_margins(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array
         theta: hydraulic ones.
     """
     known = plant.parameters
-    names = [each.actuator.name for each in plant.actuators]
     found: list[LostMargin] = []
+
+    def disks(numbers: Array) -> Array:
+        """Disk margins (a,) of the loops of a machine with other numbers."""
+        there = point(plant, at.name, at.q, at.qd, psi, numbers, loops.plant.dt)
+        return replace(loops, plant=there.system).disks
+
     try:
-        disks = _disks(plant, at, loops, psi, theta)
+        nominal = disks(theta)
     except ProblemError:  # the machine can move here, but not as it is known
         return ()
     for k in np.flatnonzero(np.diag(known.information) > 0):
-        std, least = float(known.scale[k]), disks
+        std, least = float(known.scale[k]), nominal
         for side in (-std, std):
             moved = theta.copy()
             moved[k] = np.clip(theta[k] + side, known.lower[k], known.upper[k])
             try:
-                least = np.minimum(least, _disks(plant, at, loops, psi, moved))
+                least = np.minimum(least, disks(moved))
             except ProblemError:
                 continue
         found += [LostMargin(name, known.names[k], std, known.units[k], float(disk), float(disk - low))
-                  for name, disk, low in zip(names, disks, least, strict=True)]
+                  for name, disk, low in zip(loops.names, nominal, least, strict=True)]
     return tuple(found)
-
-
-def _disks(plant: Plant, at: Point, loops: Loops, psi: Array, theta: Array) -> Array:
-    """Disk margins (a,) of the loops of a machine with other numbers."""
-    moved = point(plant, at.name, at.q, at.qd, psi, theta)
-    held = sampled(linearised(plant, moved, psi, theta), plant.delays, loops.plant.dt)
-    return disk_margins(held, loops.feedback)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.control.cascade import Cascade
-from hydroopt.control.closed_loop import simulate, tip
 from hydroopt.control.setting import TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.control.valve_test import driven_test, valve_test
@@ -70,16 +69,10 @@ def draws(setting: Setting, count: int, *, progress: Progress = silent) -> tuple
 def tracked(setting: Setting, psi: Array, theta: Array) -> float:
     """RMS distance of the tip [m] with the feedforward that knows ψ and θ, its gains tuned by them."""
     setting = replace(setting, theta=theta)
-    plant, demands = setting.plant, setting.demands
-    points = [point for some in setting.points(plant, psi, theta) for point in some]
-    gains = tuned(setting.plants(plant, points, psi, theta), points, demands.valves, setting.sensitivity)
-    cascade = Cascade(demands.valves, demands.by(plant.model, psi), gains, 1 / setting.rate)
-    done = simulate(demands, cascade, setting.true_plant, setting.true.psi, setting.true_theta, seed=setting.seed,
-                    bias=setting.bias)
-    if done.stopped:
-        return np.inf
-    off = tip(setting.true_plant, done.q) - tip(setting.true_plant, setting.reference.at(setting.t).q)
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    valves, model = setting.demands.valves, setting.plant.model
+    gains = tuned(setting.points(setting.plant, psi, theta), valves, setting.sensitivity)
+    done = setting.run(Cascade(valves, setting.demands.by(model, psi), gains, 1 / setting.rate))
+    return np.inf if done.stopped else float(np.sqrt(np.mean(setting.tip_error(done) ** 2)))
 
 
 def spread(values: Sequence[float]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.linear_plant import Reading
+from hydroopt.control.linear_plant import SHORTEST, Reading
 from hydroopt.control.reference import Demand
 from hydroopt.control.setting import ModelVariant
 from hydroopt.control.valve_inversion import Valves
@@ -82,7 +82,7 @@ class Hybrid(Cascade):
         along = np.eye(3) - np.outer(pressing.normal, pressing.normal)
         self._along = to_actuators @ along @ np.linalg.inv(to_actuators)
         self._across = -to_actuators @ pressing.normal
-        self._decay = np.exp(-period / max(force_gains.filter_time, 1e-9))
+        self._decay = np.exp(-period / max(force_gains.filter_time, SHORTEST))
         self._estimate, self._force_integral = np.nan, 0.0
 
     def reset(self) -> None:

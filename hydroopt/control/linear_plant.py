@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     from control import StateSpace
+
+SHORTEST = 1e-9
+"""Time constant [s] of a low pass or a lag that passes everything."""
 
 
 class Reading(NamedTuple):
@@ -34,7 +38,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """An operating point: a posture with speeds at which the machine moves steadily.
+    """An operating point: a posture with speeds at which the machine moves steadily, and its linear model there.
 
     Attributes:
         name: such as ``motion at 2.0 s``.
@@ -43,7 +47,8 @@ class Point:
         pressure: of their chambers (a, 2) [Pa].
         lever_arm: (a, n) speeds of the actuators per speeds of the joints.
         supply: pressures (2,) [Pa].
-        steady: state and commands.
+        system: the machine as a controller meets it, see `linearised` and `sampled`.
+        on_motion: whether a motion to follow leads through it.
     """
 
     name: str
@@ -54,23 +59,25 @@ class Point:
     pressure: Array
     lever_arm: Array
     supply: Array
-    steady: Steady
+    system: StateSpace
+    on_motion: bool = True
 
 
-def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array) -> Point:
-    """A point of steady motion.
+def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array, period: float, *,
+          on_motion: bool = True) -> Point:
+    """A point of steady motion, for a controller with this sampling period [s].
 
     Raises:
         ProblemError: the supply cannot move the machine at these speeds.
     """
     steady = plant.steady(q, qd, psi, theta)
     outputs = plant.outputs.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
-    lever_arm = np.asarray(plant.transmission(q).full())
     length, speed = (np.asarray(outputs[key]).ravel() for key in ("length", "speed"))
-    return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
+    return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), np.asarray(plant.transmission(q).full()),
+                 plant.supply, sampled(linearised(plant, steady, psi, theta), plant.delays, period), on_motion)
 
 
-def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> StateSpace:
+def linearised(plant: Plant, steady: Steady, psi: Array, theta: Array) -> StateSpace:
     """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
 
     States are deviations from the motion. The change of lever arms along the motion is left out: it only changes the
@@ -78,8 +85,8 @@ def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -
     """
     import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
 
-    n, scale, names, at = len(plant.machine.joints), plant.scale, plant.states, operating_point.steady
-    A, B = (np.asarray(part) for part in plant.jacobians(at.x, at.u, operating_point.supply, psi, theta))
+    n, scale, names = len(plant.machine.joints), plant.scale, plant.states
+    A, B = (np.asarray(part) for part in plant.jacobians(steady.x, steady.u, plant.supply, psi, theta))
     A[[".p_" in name for name in names], :n] = 0.0
     C = np.zeros((n + len(plant.actuators) + 1, len(names)))
     C[:n, :n] = np.eye(n)
@@ -113,8 +120,7 @@ def sampled(system: StateSpace, delays: Array, period: float) -> StateSpace:
     """
     import control  # noqa: PLC0415 — codegen reaches this module, and needs no linear systems
 
-    whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
-    part = np.round(np.maximum(delays - whole * period, 0.0), 12)
+    whole, part = in_samples(delays, period)
     held = control.sample_system(system, period, "zoh")
     # by those of two successive commands that act in a period, the later one first
     by_command = np.stack([held.B, np.zeros_like(held.B)], axis=2)
@@ -129,6 +135,13 @@ def sampled(system: StateSpace, delays: Array, period: float) -> StateSpace:
     acting = control.ss(held.A, by_command.reshape(len(held.A), -1), held.C, 0, period)
     return control.ss(acting * control.append(*registers), states=[*names, *system.state_labels],
                       inputs=system.input_labels, outputs=system.output_labels)
+
+
+def in_samples(delays: Array, period: float) -> tuple[NDArray[np.intp], Array]:
+    """Delays (n,) [s] as whole sampling periods and the rest [s] beyond them, without their rounding."""
+    whole = np.floor(delays / period * (1 + 1e-12)).astype(np.intp)
+    rest: Array = np.round(np.maximum(delays - whole * period, 0.0), 12).astype(float)
+    return whole, rest
 
 
 def signals(names: Iterable[str]) -> list[str]:

@@ -30,10 +30,10 @@ LEAST_PRESSURE = 1e3
 """Standard deviation [Pa] of a pressure's reading that counts at least."""
 NEAR = 0.3
 """Part of the designs' spread of postures over which their gains pass into each other."""
-OTHER_WAY = 0.5
-"""Difference of direction over which the gains of two designs pass into each other; opposite directions differ by 2."""
 LEAST_SPAN = 1e-3
 """Spread of postures [rad or m] that counts at least."""
+OTHER_WAY = 0.5
+"""Difference of direction over which the gains of two designs pass into each other; opposite directions differ by 2."""
 
 
 class Matrices(NamedTuple):
@@ -52,6 +52,16 @@ class Matrices(NamedTuple):
     feedback: Array
     filter: Array
 
+    def regulator(self, period: float) -> tuple[Array, Array]:
+        """(F, G) of ``x' = F·x + G·y``, whose speeds are ``−feedback·x``.
+
+        x are the states and the integrals (m,) of the axes' errors, y by what readings (n + a + 1,) and positions of
+        the axes (m,) are off. `period` is that of the samples [s].
+        """
+        size, m = len(self.A), self.feedback.shape[1] - len(self.A)
+        F = block_diag(self.A - self.filter @ self.C, np.eye(m))
+        F[:size] -= self.B @ self.feedback
+        return F, block_diag(self.filter, period * np.eye(m))
 
 class Design(NamedTuple):
     """Matrices for deviations from an operating point, and the names of the states that the filter estimates."""
@@ -85,21 +95,20 @@ class Schedule:
         return Matrices(*(np.tensordot(weight / weight.sum(), part, axes=1) for part in self._parts))
 
 
-def design(plant: StateSpace, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
+def design(point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
     """Regulator and Kalman filter by their Riccati equations (Åström and Wittenmark 1997).
 
     The weights are those with which an axis that is a pure integrator gets the position gain
     `BANDWIDTH_SHARE`·`bandwidth`, and `INTEGRAL_RATIO` as the ratio of integral time and time constant.
 
     Args:
-        plant: sampled about the point, with delays; its states are scaled.
         point: of the motion.
         valves: as the controller knows them.
         bandwidth: of the axes (m,) [1/s].
         noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure; infinite for what
             the filter does not read.
     """
-    axes, n = Axes(valves.plant), len(point.q)
+    axes, n, plant = Axes(valves.plant), len(point.q), point.system
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
     # the feedback of the supply pressure to the commands is part of the plant
@@ -154,40 +163,35 @@ class Lqg:
         self.valves, self.demand, self.schedule, self.period = valves, demand, Schedule(designs), period
         self.axes = Axes(valves.plant)
         self._position = self.axes.positions(demand.q, demand.length)
-        self._size, self._states = len(designs[0].matrices.A), designs[0].states
+        self._states = [*designs[0].states, *(f"{name}.integral" for name in self.axes.names)]
         self.reset()
 
     def reset(self) -> None:
         """Return to the initial state."""
-        self._state = np.zeros(self._size)
-        self._integral = np.zeros(len(self.axes.names))
+        self._state = np.zeros(len(self._states))
 
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (a,) at sample k from the readings."""
-        preview, size = self.demand.preview, self._size
-        A, B, C, feedback, gain = self.schedule.at(self.demand.q[k], preview.speed[k])
-        speed = -feedback[:, :size] @ self._state - feedback[:, size:] @ self._integral
-        command, opening = self.valves.command(preview.speed[k] + speed, preview.force_rate[k], preview.length[k],
-                                               preview.pressure[k], reading.supply)
-        deviations = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]), 0.0])
-        self._state = A @ self._state + B @ speed + gain @ (deviations - C @ self._state)
+        demand, preview = self.demand, self.demand.preview
+        matrices = self.schedule.at(demand.q[k], preview.speed[k])
+        F, G = matrices.regulator(self.period)
+        command, opening = self.valves.command(
+            preview.speed[k] - matrices.feedback @ self._state, preview.force_rate[k], preview.length[k],
+            preview.pressure[k], reading.supply)
         error = self.axes.positions(reading.q, reading.length) - self._position[k]
-        self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
+        off = [reading.q - demand.q[k], reading.force - demand.measured_force[k], [0.0],
+               np.where(self.axes.open(opening), error, 0.0)]
+        self._state = F @ self._state + G @ np.concatenate(off)
         return command
 
     def linear(self, point: Point) -> StateSpace:
         """The linearised controller, with the gains that it has at the point: from q, forces and supply pressure to
         commands."""
-        matrices, size = self.schedule.at(point.q, point.speed), self._size
-        (a, m), n = self.axes.shares(point.lever_arm).shape, len(point.q)
+        (a, n), matrices = point.lever_arm.shape, self.schedule.at(point.q, point.speed)
         slopes = self.valves.slopes(point.speed, point.length, point.pressure, point.supply)
-        by_speed, feedback = np.diag(slopes.speed), matrices.feedback
-        A = np.block([[matrices.A - matrices.filter @ matrices.C - matrices.B @ feedback[:, :size],
-                       -matrices.B @ feedback[:, size:]],
-                      [np.zeros((m, size)), np.eye(m)]])
-        along = self.period * self.axes.slopes(point.lever_arm)
-        B = np.vstack([matrices.filter, np.hstack([along, np.zeros((m, a + 1))])])
+        F, G = matrices.regulator(self.period)
+        along = np.hstack([self.axes.slopes(point.lever_arm), np.zeros((len(self.axes.names), a + 1))])
         D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return control.ss(A, B, -by_speed @ feedback, D, self.period,
-                          states=signals([*self._states, *(f"{name}.integral" for name in self.axes.names)]),
-                          inputs=readings(self.axes.plant), outputs=signals(self.axes.plant.inputs))
+        return control.ss(F, G @ np.vstack([np.eye(n + a + 1), along]), -slopes.speed[:, None] * matrices.feedback, D,
+                          self.period, states=signals(self._states), inputs=readings(self.axes.plant),
+                          outputs=signals(self.axes.plant.inputs))

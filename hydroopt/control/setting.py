@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from control import StateSpace
 
-from hydroopt.control.linear_plant import Point, linearised, point, sampled
+from hydroopt.control.closed_loop import Controller, Run, simulate, tip
+from hydroopt.control.linear_plant import Point, point
 from hydroopt.control.reference import Demands, Reference, steady_speeds
 from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
@@ -22,13 +21,13 @@ from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import SHARE, top_speed
 from hydroopt.results.answer import load
-from hydroopt.simulation import simulate
 from hydroopt.simulation.drive_valves import random_numbers, refuse_moving_base
 from hydroopt.simulation.passive_joints import passive_motion
-from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.simulation.simulate import Trajectory, forces, random_trajectory, random_truth, sampling_rate
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.input_file import read_json
+from hydroopt.support.progress import Progress, silent
 
 NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
 MOTION_POINTS = 6
@@ -69,7 +68,7 @@ def reduced(complete: ModelVariant, *, seed: int = 0) -> ModelVariant:
     the minimum-norm change where the solution is not unique.
     """
     model, small = complete.model, Model(complete.model.machine, actuator_inertia=False)
-    motion = simulate.random_trajectory(model, duration=60.0, rate=5.0, seed=seed)
+    motion = random_trajectory(model, duration=60.0, rate=5.0, seed=seed)
     start = complete.psi[list(model.parameters.select(small.parameters.names))]
     difference = _balances(model, motion, complete.psi) - _balances(small, motion, start)
     K = small.over(small.regressor if small.linear else small.linearised, motion.q, motion.qd, motion.qdd,
@@ -81,10 +80,10 @@ def reduced(complete: ModelVariant, *, seed: int = 0) -> ModelVariant:
     return ModelVariant(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
 
 
-def _balances(model: Model, motion: simulate.Trajectory, psi: Array) -> Array:
+def _balances(model: Model, motion: Trajectory, psi: Array) -> Array:
     """What a motion demands of the balances (N, r); without pressure on seals where there are balances of joints."""
     if model.machine.one_each:
-        return simulate.forces(model, motion, psi)
+        return forces(model, motion, psi)
     still = [np.zeros((len(motion.t), len(model.machine.actuators)))] if model.needs_pressure else []
     return np.asarray(model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, *still, psi)[0][:, :, 0])
 
@@ -126,7 +125,7 @@ def truth(source: str, plant: Plant, *, seed: int) -> Truth:
         return Truth(ModelVariant(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
     if source == "random":
         return Truth(ModelVariant(TRUE, "drawn from the confidences of the machine file", model,
-                                  simulate.random_truth(model, seed)), random_numbers(plant, seed))
+                                  random_truth(model, seed)), random_numbers(plant, seed))
     if not os.path.isfile(source):
         raise ProblemError(f"'{source}' is not a truth", where="--truth",
                            remedy="use nominal, random, or the truth.json that simulate wrote")
@@ -208,8 +207,8 @@ class Setting:
         """The true machine."""
         return self.plant if self.true.model is self.plant.model else Plant(self.true.model)
 
-    def points(self, plant: Plant, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
-        """Operating points of the motion and over the workspace, of a plant with parameters ψ and θ.
+    def points(self, plant: Plant, psi: Array, theta: Array) -> list[Point]:
+        """Operating points of the motion, then over the workspace, of a plant with parameters ψ and θ.
 
         Joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`; passive ones hang.
 
@@ -223,23 +222,35 @@ class Setting:
         lower, upper = machine.ranges.T
         moments = self.t[0] + (np.arange(MOTION_POINTS) + 0.5) / MOTION_POINTS * (self.t[-1] - self.t[0])
         path = self.reference.at(moments)
-        on_motion = []
+        found, period = list[Point](), 1 / self.rate
         for t, q, qd in zip(moments, hanging.postures(path.q), np.where(least > 0, path.qd, 0.0), strict=True):
             speeds = steady_speeds(plant, q, qd, least)
-            on_motion.append(point(plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
-        n, in_workspace = len(least), list[Point]()
+            found.append(point(plant, f"motion at {t:.1f} s", q, speeds, psi, theta, period))
+        n = len(least)
         for k, share in enumerate(halton(2 * n, WORKSPACE_POINTS)):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
             q = hanging.postures((lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n]))[None])[0]
             try:
-                in_workspace.append(point(plant, f"workspace {k + 1}", q, direction * least, psi, theta))
+                found.append(point(plant, f"workspace {k + 1}", q, direction * least, psi, theta, period,
+                                   on_motion=False))
             except ProblemError:  # the supply may be too weak for some postures
                 continue
-        return on_motion, in_workspace
+        return found
 
-    def plants(self, plant: Plant, points: Sequence[Point], psi: Array, theta: Array) -> list[StateSpace]:
-        """A sampled plant with its valves' delays about each point."""
-        return [sampled(linearised(plant, each, psi, theta), plant.delays, 1 / self.rate) for each in points]
+    def run(self, controller: Controller, progress: Progress = silent) -> Run:
+        """What the true machine does with a controller.
+
+        Raises:
+            ProblemError: the motion's start cannot be held.
+            SolverError: the plant could not be integrated.
+        """
+        return simulate(self.demands, controller, self.true_plant, self.true.psi, self.true_theta, seed=self.seed,
+                        bias=self.bias, progress=progress)
+
+    def tip_error(self, run: Run) -> Array:
+        """Distance (N,) [m] of the last link's far end from where it should be."""
+        return np.asarray(np.linalg.norm(
+            tip(self.true_plant, run.q) - tip(self.plant, self.reference.at(run.t).q), axis=1))
 
 
 def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:

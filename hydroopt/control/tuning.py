@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 import control
 import numpy as np
-from control import StateSpace
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.cascade import Gains, linear_feedback
+from hydroopt.control.cascade import Feedback, Gains
 from hydroopt.control.linear_plant import Point
-from hydroopt.control.loops import STANDING, frequencies, response, responses
+from hydroopt.control.loops import STANDING, Loops, frequencies, response
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.spatial.inertia import Array
@@ -44,14 +43,23 @@ ENTRY = 10.0
 where a load lightens along the motion, errors of the position grow unless the gain is higher than that growth."""
 
 
-class _Loops:
-    """Responses of the plant at all points, and of all loops with given gains."""
+class _Tuner:
+    """Gains of all axes, which are tuned one after the other, and responses of the plant at all points.
 
-    def __init__(self, plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves) -> None:
-        self.plants, self.points, self.valves, self.period = plants, points, valves, plants[0].dt
-        self.z = np.exp(1j * frequencies(plants) * self.period)
-        n, self.axes = len(points[0].q), Axes(valves.plant)
-        moved = np.array([response(plant, self.z) for plant in plants])
+    Attributes:
+        gains: as they are.
+        ceiling: above which no position gain may be (m,), since another axis found none beside faster loops.
+    """
+
+    def __init__(self, points: Sequence[Point], valves: Valves, largest: float) -> None:
+        self.points, self.valves, self.largest, self.period = points, valves, largest, points[0].system.dt
+        self.axes = Axes(valves.plant)
+        self.law, (a, m), n = Feedback(self.axes, self.period), self.axes.own.shape, len(points[0].q)
+        self.speed_per_force = np.where(self.axes.measured, valves.speed_per_force, 0.0)
+        self.gains = Gains(np.zeros(m), np.zeros(a), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
+        self.ceiling = np.full(m, np.inf)
+        self.z = np.exp(1j * frequencies([point.system for point in points]) * self.period)
+        moved = np.array([response(point.system, self.z) for point in points])
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
         to_speed = np.array([slope.speed for slope in slopes])[:, None, :, None]
         self.shares = to_speed * np.array([self.axes.shares(point.lever_arm) for point in points])[:, None]
@@ -59,53 +67,105 @@ class _Loops:
         self.force = to_speed * moved[:, :, n:-1]
         self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * moved[:, :, -1:]
 
+    def tune(self, k: int, growth: float) -> bool:
+        """Give an axis the fastest gains with which errors grow no faster than this [1/s]; whether there are any.
+
+        What is given up in turn, where there are none: speed of the other loops, a part of the robustness, and at last
+        that all errors die away, where another loop is unstable at a point, whatever this one does.
+        """
+        return (self._fastest(k, growth) or self._beside_slower(k)
+                or any(self._fastest(k, 0.0, slack) or self._beside_slower(k, slack) for slack in SLACKS)
+                or self._fastest(k, self._free_growth))
+
+    def _beside_slower(self, k: int, slack: float = 1.0) -> bool:
+        """The same beside loops that yield; where that does not help, they are as they were."""
+        others, before = np.arange(len(self.gains.position)) != k, copy.deepcopy((self.gains, self.ceiling))
+        while np.any(self.gains.position[others] > SLOWEST_LOOP):
+            self.gains.position[others] = self.ceiling[others] = np.maximum(self.gains.position[others] / YIELD,
+                                                                            SLOWEST_LOOP)
+            self.gains.integral_time[others] = INTEGRAL_RATIO / self.gains.position[others]
+            if self._fastest(k, 0.0, slack):
+                return True
+        self.gains, self.ceiling = before
+        return False
+
+    def _fastest(self, k: int, growth: float, slack: float = 1.0) -> bool:
+        """The same beside loops as they are, with sensitivities up to `slack` times their limits."""
+        gains, own = self.gains, list(self.axes.actuators[k])
+        loop, entry = self._cut(k), ENTRY * self._growth
+        limits = slack * self.largest, slack * COMPLEMENTARY_SENSITIVITY
+
+        def robust(position: float, part: float, filter_time: float) -> bool:
+            gains.position[k], gains.force[own] = position, part * self.speed_per_force[own]
+            gains.filter_time[k] = filter_time
+            gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
+            return loop.robust(*self._of_axis(k), *limits)
+
+        best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(self.speed_per_force[own]) else FORCE_GAINS[:1]
+        for filter_time in FILTER_TIMES:
+            for part in parts:
+                # upwards step by step, since the sensitivity may be low again beyond instability
+                if not robust(0.0, part, filter_time):
+                    break
+                if best[0] >= max(entry, SLOWEST_LOOP) and not robust(best[0], part, filter_time):
+                    continue  # it would not come as far
+                position, passed = SLOWEST_LOOP, list[float]()
+                while position <= self.ceiling[k] and ((one := robust(position, part, filter_time))
+                                                       or position < entry):
+                    passed += [position] if one else []
+                    position *= 1 + STEP
+                for position in reversed(passed):
+                    if (position, part, filter_time) <= best:
+                        break
+                    if math.isinf(growth) or (robust(position, part, filter_time)
+                                              and self._hold(k, growth, *limits)):
+                        best = (position, part, filter_time)
+                        break
+        robust(*best)
+        return best[0] > 0
+
     @cached_property
-    def growth(self) -> float:
+    def _growth(self) -> float:
         """Of errors that grow steadily without feedback, at the point where they do so fastest [1/s]; zero if none do.
         """
-        return max(_growth(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
-                   (plant.poles() for plant in self.plants))
+        return max(_rate(poles[np.abs(poles.imag) < STANDING], self.period) for poles in
+                   (point.system.poles() for point in self.points))
 
     @cached_property
-    def free_growth(self) -> float:
+    def _free_growth(self) -> float:
         """Of all errors that grow without feedback, oscillating ones as well [1/s]."""
-        return max(_growth(plant.poles(), self.period) for plant in self.plants)
+        return max(_rate(point.system.poles(), self.period) for point in self.points)
 
-    def hold(self, gains: Gains, k: int, growth: float, largest: float, complementary: float) -> bool:
+    def _hold(self, k: int, growth: float, largest: float, complementary: float) -> bool:
         """Whether errors grow at no point faster than `growth` [1/s] with all loops closed, where zero asks that they
         die away, and both sensitivities of an axis' loops stay below their limits at the resonances, too, that the
         feedback makes."""
-        for plant, point in zip(self.plants, self.points, strict=True):
-            feedback = linear_feedback(self.axes, self.valves, gains, self.period, point)
-            closed = control.feedback(plant, feedback, sign=1)
-            if _growth(closed.poles(), self.period) > growth:
+        for at in self.points:
+            loops = Loops.about(at, self.axes, self.law.about(at, self.valves, self.gains))
+            if _rate(loops.poles, self.period) > growth:
                 return False
-            L = responses(plant, feedback, frequencies([plant, closed]))[list(self.axes.actuators[k])]
+            L = loops.cut[list(self.axes.actuators[k])]
             if np.max(1 / np.abs(1 + L)) > largest or np.max(np.abs(L / (1 + L))) > complementary:
                 return False
         return True
 
-    def feedback(self, gains: Gains) -> tuple[Array, Array]:
-        """Responses from positions to speeds of the axes (ω, m), and from forces to speeds of the actuators (ω, a)."""
-        m = len(self.axes.names)
-        own = [self.of_axis(gains, k) for k in range(m)]
-        by_force = np.zeros((len(self.z), len(self.axes.of)), dtype=complex)
-        for k, places in enumerate(self.axes.actuators):
-            by_force[:, list(places)] = own[k][1]
-        return np.stack([each[0] for each in own], axis=1), by_force
+    def _of_axis(self, k: int) -> tuple[Array, Array]:
+        """Responses of the law of one axis: (ω,) from its position to its speed, and (ω, g) from the forces of its
+        actuators to theirs."""
+        (a, m), own = self.axes.own.shape, list(self.axes.actuators[k])
+        by_before, by_errors = self.law.linear(self.axes.own, self.gains)
+        kept = [*own, a + k]
+        A, B = by_before[np.ix_(kept, kept)], by_errors[np.ix_(kept, [k, *(m + i for i in own)])]
+        found = -response(control.ss(A, B, A[:-1], B[:-1], self.period), self.z)
+        return found[:, 0, 0], np.diagonal(found[:, :, 1:], axis1=1, axis2=2)
 
-    def of_axis(self, gains: Gains, k: int) -> tuple[Array, Array]:
-        """The same of one axis: (ω,) from its position, and (ω, g) from the forces of its actuators."""
-        pole = np.exp(-self.period / max(gains.filter_time[k], 1e-9))
-        low_pass = (1 - pole) * self.z / (self.z - pole)
-        integral = self.period / gains.integral_time[k] / (self.z - 1)
-        return (-low_pass * gains.position[k] * (1 + integral),
-                -low_pass[:, None] * gains.force[list(self.axes.actuators[k])])
-
-    def cut(self, gains: Gains, k: int) -> _Loop:
+    def _cut(self, k: int) -> _Loop:
         """The loop of one axis, all others closed."""
-        by_position, by_force = (part[:, None] for part in self.feedback(gains))
-        G = self.supply + self.shares * by_position @ self.position + np.swapaxes(by_force, 1, 2) * self.force
+        G = self.supply.copy()
+        for i, places in enumerate(self.axes.actuators):
+            by_position, by_force = self._of_axis(i)
+            G += self.shares[..., [i]] * by_position[:, None, None] @ self.position[..., [i], :]
+            G[..., list(places), :] += by_force[..., None] * self.force[..., list(places), :]
         own = list(self.axes.actuators[k])
         others = [j for j in range(G.shape[-1]) if j not in own]
         # responses of all commands to unit commands of this loop
@@ -149,7 +209,7 @@ class _Loop(NamedTuple):
         return bool(np.max(_singular_values(complement)[1]) <= complementary)
 
 
-def _growth(poles: Array, period: float) -> float:
+def _rate(poles: Array, period: float) -> float:
     """Of the fastest of a sampled system's states that grow [1/s]; zero where none does."""
     moving = np.abs(poles[np.abs(poles - 1) >= STANDING])
     return float(np.log(np.max(moving, initial=1.0)) / period)
@@ -173,81 +233,8 @@ def _singular_values(matrix: Array) -> tuple[Array, Array]:
             return values[..., -1], values[..., 0]
 
 
-class _Tuner:
-    """Gains of all axes, which are tuned one after the other.
-
-    Attributes:
-        gains: as they are.
-        ceiling: above which no position gain may be (m,), since another axis found none beside faster loops.
-    """
-
-    def __init__(self, loops: _Loops, largest: float) -> None:
-        self.loops, self.largest, m = loops, largest, len(loops.axes.names)
-        self.speed_per_force = np.where(loops.axes.measured, loops.valves.speed_per_force, 0.0)
-        self.gains = Gains(np.zeros(m), np.zeros(len(self.speed_per_force)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP),
-                           np.zeros(m))
-        self.ceiling = np.full(m, np.inf)
-
-    def tune(self, k: int, growth: float) -> bool:
-        """Give an axis the fastest gains with which errors grow no faster than this [1/s]; whether there are any.
-
-        What is given up in turn, where there are none: speed of the other loops, a part of the robustness, and at last
-        that all errors die away, where another loop is unstable at a point, whatever this one does.
-        """
-        return (self._fastest(k, growth) or self._beside_slower(k)
-                or any(self._fastest(k, 0.0, slack) or self._beside_slower(k, slack) for slack in SLACKS)
-                or self._fastest(k, self.loops.free_growth))
-
-    def _beside_slower(self, k: int, slack: float = 1.0) -> bool:
-        """The same beside loops that yield; where that does not help, they are as they were."""
-        others, before = np.arange(len(self.gains.position)) != k, copy.deepcopy((self.gains, self.ceiling))
-        while np.any(self.gains.position[others] > SLOWEST_LOOP):
-            self.gains.position[others] = self.ceiling[others] = np.maximum(self.gains.position[others] / YIELD,
-                                                                            SLOWEST_LOOP)
-            self.gains.integral_time[others] = INTEGRAL_RATIO / self.gains.position[others]
-            if self._fastest(k, 0.0, slack):
-                return True
-        self.gains, self.ceiling = before
-        return False
-
-    def _fastest(self, k: int, growth: float, slack: float = 1.0) -> bool:
-        """The same beside loops as they are, with sensitivities up to `slack` times their limits."""
-        loops, gains, own = self.loops, self.gains, list(self.loops.axes.actuators[k])
-        loop, entry = loops.cut(gains, k), ENTRY * loops.growth
-        limits = slack * self.largest, slack * COMPLEMENTARY_SENSITIVITY
-
-        def robust(position: float, part: float, filter_time: float) -> bool:
-            gains.position[k], gains.force[own] = position, part * self.speed_per_force[own]
-            gains.filter_time[k] = filter_time
-            gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
-            return loop.robust(*loops.of_axis(gains, k), *limits)
-
-        best, parts = (0.0, 0.0, 0.0), FORCE_GAINS if np.any(self.speed_per_force[own]) else FORCE_GAINS[:1]
-        for filter_time in FILTER_TIMES:
-            for part in parts:
-                # upwards step by step, since the sensitivity may be low again beyond instability
-                if not robust(0.0, part, filter_time):
-                    break
-                if best[0] >= max(entry, SLOWEST_LOOP) and not robust(best[0], part, filter_time):
-                    continue  # it would not come as far
-                position, passed = SLOWEST_LOOP, list[float]()
-                while position <= self.ceiling[k] and ((one := robust(position, part, filter_time))
-                                                       or position < entry):
-                    passed += [position] if one else []
-                    position *= 1 + STEP
-                for position in reversed(passed):
-                    if (position, part, filter_time) <= best:
-                        break
-                    if math.isinf(growth) or (robust(position, part, filter_time)
-                                              and loops.hold(gains, k, growth, *limits)):
-                        best = (position, part, filter_time)
-                        break
-        robust(*best)
-        return best[0] > 0
-
-
-def tuned(plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves,
-          largest: float = SENSITIVITY, progress: Progress = silent) -> Gains:
+def tuned(points: Sequence[Point], valves: Valves, largest: float = SENSITIVITY,
+          progress: Progress = silent) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivities stay below their limits.
 
     Each axis in turn, with all other loops closed, gets the force gain that admits the highest position gain. Several
@@ -261,7 +248,6 @@ def tuned(plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves,
     faster than without feedback.
 
     Args:
-        plants: sampled, with delays, at each point.
         points: at which the robustness has to hold.
         valves: with the parameters that the controller uses.
         largest: sensitivity |1/(1 + L)| that is allowed.
@@ -270,8 +256,8 @@ def tuned(plants: Sequence[StateSpace], points: Sequence[Point], valves: Valves,
     Raises:
         ProblemError: an axis has no gains that are robust enough.
     """
-    tuner = _Tuner(_Loops(plants, points, valves), largest)
-    names = tuner.loops.axes.names
+    tuner = _Tuner(points, valves, largest)
+    names = tuner.axes.names
     for sweep in range(SWEEPS):
         for k, name in enumerate(names):
             progress(f"tuning {name}", (sweep + k / len(names)) / SWEEPS)

@@ -21,9 +21,6 @@ RAMP = 0.003
 DROP = 1e5
 """Least pressure drop [Pa] across an edge that the inversion assumes; feedback corrects what is missing below it."""
 
-ACCURACY = 1e-6
-"""Relative error of a step of the pressures that a motion demands."""
-
 
 def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
     """Command for an opening of −1 to 1 (positive P→A): the inverse of the valve's dead bands.
@@ -147,7 +144,7 @@ class Valves:
         pieces = len(seconds)
         slopes = [np.diff(values, axis=0) / seconds[:, None] for values in motion]
         rest = [force_rate, np.tile(supply, (pieces, 1))]
-        integrator = Integrator(self._pressure_rates, [self.theta], np.full(len(start), PRESSURE), tolerance=ACCURACY)
+        integrator = Integrator(self._pressure_rates, [self.theta], np.full(len(start), PRESSURE))
         return integrator.along(start, seconds, *(values[:-1] for values in motion), *rest,
                                 slopes=[*slopes, *(0 * values for values in rest)])
 

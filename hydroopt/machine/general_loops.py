@@ -25,7 +25,7 @@ from hydroopt.spatial.inertia import Array
 
 CLOSED = 1e-5
 """Equations [m or rad] that leave more than this before the last step make positions that are not numbers."""
-LAST, ROUNDING = 1e-8, 1e-12
+NEARLY, ROUNDING = 1e-8, 1e-12
 """Errors [rad or m] of positions that are allowed before the last step and after it."""
 CALIBRATED = 0.03
 """How far [rad or m] calibrated geometry may move positions from those of the machine file."""
@@ -57,6 +57,21 @@ class Start(NamedTuple):
     powers: tuple[tuple[int, ...], ...]
     coefficients: Array
 
+    @classmethod
+    def fitted(cls, degree: int, middle: Array, half: Array, q: Array, values: Array, rcond: float | None = None
+               ) -> Start:
+        """The polynomial of a degree nearest to every second sample (m, N) at q (n, N)."""
+        powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(len(q)), k))
+        shape = cls(tuple(middle.tolist()), tuple(half.tolist()), powers, np.zeros((len(values), len(powers))))
+        found = np.linalg.lstsq(np.array(shape.terms(q))[:, ::2].T, values[:, ::2].T, rcond=rcond)[0]
+        return shape._replace(coefficients=found.T)
+
+    def at(self, q: Sequence[ca.SX]) -> ca.SX:
+        """Values (m,) at symbols (n,)."""
+        terms = self.terms(q)
+        return ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
+                            for row in self.coefficients))
+
     def terms(self, q: Any) -> list[Any]:
         """The terms at joint positions (n,), be they numbers, arrays or symbols."""
         u = [(q[k] - self.middle[k]) / self.half[k] for k in range(len(self.middle))]
@@ -84,9 +99,7 @@ class GeneralAssembly(NamedTuple):
         equations = closure_equations(geometry, self.closure.statements, at)
         J, found = ca.jacobian(equations, x), ca.SX.zeros(len(own))
         if self.start is not None:
-            terms = self.start.terms([q[joint] for joint in self.closure.follows])
-            found = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
-                                 for row in self.start.coefficients))
+            found = self.start.at([q[joint] for joint in self.closure.follows])
         for left in reversed(range(self.steps)):
             gap, slope = ca.substitute([equations, J], [x], [found])
             step = ca.solve(slope, gap)
@@ -204,13 +217,8 @@ def assembled(geometry: Geometry, closure: Closure, posture: Mapping[str, float]
     begin = np.array([posture[joint] for joint in closure.follows])
     here = _closed(problem, posture, begin)
     ranges = np.array([machine.link(joint).joint.range for joint in closure.follows])
-    middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
-    n = len(begin)
-    count = SAMPLES.get(n, 512)
-    u = 2 * halton(n, count).T - 1
-    u = np.sin(np.pi / 2 * u)  # denser towards the ends of the ranges, as the nodes of Chebyshev's polynomials
-    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n, indexing="ij")).reshape(n, -1)[:, :count]
-    q = middle[:, None] + half[:, None] * np.hstack([corners, u])
+    middle, half, n = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2, len(begin)
+    q = spread(ranges, SAMPLES.get(n, 512))
     positions = problem.tracked(here, begin, q)
     if (lost := np.flatnonzero(~np.isfinite(positions).all(axis=0))).size:
         nearest = lost[np.argmin(np.linalg.norm((q[:, lost] - begin[:, None]) / half[:, None], axis=0))]
@@ -220,26 +228,36 @@ def assembled(geometry: Geometry, closure: Closure, posture: Mapping[str, float]
                               closure.statements[0].place)
     lowest, highest = DEGREES.get(n, (2, 3))
     for degree in range(lowest, highest + 1):
-        powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(n), k))
-        shape = Start(tuple(middle.tolist()), tuple(half.tolist()), powers, np.zeros((len(own), len(powers))))
-        terms = np.array(shape.terms(q))
-        fitted = np.linalg.lstsq(terms[:, ::2].T, positions[:, ::2].T, rcond=None)[0].T
-        steps = _steps(problem, fitted @ terms, q, positions)
+        start = Start.fitted(degree, middle, half, q, positions)
+        steps = _steps(problem, start.coefficients @ np.array(start.terms(q)), q, positions)
         if steps is not None:
-            return GeneralAssembly(closure, shape._replace(coefficients=fitted), steps)
+            return GeneralAssembly(closure, start, steps)
     raise ImpossibleError(f"{closure} would come too near to a dead point in the range of "
                           f"{', '.join(closure.follows)} for Newton's method", "narrow the joints' limits",
                           closure.statements[0].place)
 
 
+def spread(ranges: Array, count: int) -> Array:
+    """Samples (n, N) of ranges (n, 2): corners and middles, and `count` between them, denser towards the ends, as the
+    nodes of Chebyshev's polynomials."""
+    n = len(ranges)
+    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n, indexing="ij")).reshape(n, -1)[:, :count]
+    u = np.hstack([corners, np.sin(np.pi / 2 * (2 * halton(n, count).T - 1))])
+    return np.asarray(ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * u)
+
+
+def moved_aside(values: Array) -> Array:
+    """Signs, of the shape of samples, by which calibrated geometry may move them: neighbours to different sides."""
+    return np.asarray(1 - 2 * (np.arange(values.size).reshape(values.shape) % 3 % 2))
+
+
 def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int | None:
     """How many steps bring all samples to rounding, also of other geometry; None if none do."""
-    signs = 1 - 2 * (np.arange(start.size).reshape(start.shape) % 3 % 2)
-    error, at = np.inf, start + CALIBRATED * signs
+    error, at = np.inf, start + CALIBRATED * moved_aside(start)
     for count in range(1, MOST + 1):
         before, at = error, problem.step(at, q)
         error = float(np.max(np.abs(at - positions)))
-        if before < LAST and error < ROUNDING * (1 + float(np.max(np.abs(positions)))):
+        if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(positions)))):
             return count
     return None
 

@@ -267,10 +267,6 @@ class Machine(Drawn, MachineDescription):
             if self.ground is None:
                 yield ImpossibleError(f"the beam of '{laser.name}' ends at the ground, whose height is not stated",
                                       "state 'ground', the height of the ground in the base frame", "ground")
-            elif laser.link == BASE and (laser.direction[2] >= 0 or laser.position[2] <= self.ground):
-                yield ImpossibleError(f"the beam of '{laser.name}' cannot hit the ground, which is at "
-                                      f"{self.ground:.6g} m", "let it start above and point down, towards -z of the "
-                                      "base frame", f"rangefinders[{laser.name}].direction")
         if self.footprint and self.ground is None:
             yield ImpossibleError("the machine has a footprint, but its height is not stated",
                                   "state 'ground', the height of the ground in the base frame")

@@ -30,7 +30,6 @@ from hydroopt.units import UnitError
 
 ROBOT_SUFFIXES = (".urdf", ".xml", ".sdf", ".xacro")
 """Endings of robot files; a template of xacro is none, and named in its refusal."""
-_NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 _VECTOR = re.compile(r"\[\n((?: +[^\[\]\n]+,\n)+) *\]")
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from hydroopt.units import UnitError, implausible, plausible, to_si
+from hydroopt.units import ImplausibleError, UnitError, implausible, plausible, to_si
 
 CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N*m", "N"),
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
@@ -69,7 +69,7 @@ class Quantity:
                 try:
                     return to_si(value, si, where="")
                 except UnitError as error:
-                    problem = problem or error
+                    problem = error if isinstance(error, ImplausibleError) else problem or error
             assert problem is not None
             raise ImpossibleError(problem.what, problem.remedy)
         if isinstance(value, bool):

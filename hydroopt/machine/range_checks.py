@@ -1,4 +1,4 @@
-"""Whether loops close and cylinders do their work over the whole range of a machine's joints."""
+"""Whether loops close, cylinders do their work and beams hit the ground over the whole range of a machine's joints."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from hydroopt.machine.actuators import Cylinder, GasCylinder, Pinned, Spring
 from hydroopt.machine.closures import closures
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loops import Loop
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Assembly, Mechanism, Ways
 from hydroopt.machine.quantity import ImpossibleError, longer_than_machines
+from hydroopt.machine.sensors import Rangefinder
 from hydroopt.spatial.evenly_spread import sobol
 from hydroopt.spatial.inertia import Array
 
@@ -73,6 +74,8 @@ def over(machine: Machine, joints: Sequence[str]) -> Array:
     """Positions (n, N) of joints over their ranges: a grid, or where they are many mid-range, all corners and Sobol's
     sequence between them."""
     ranges, n = np.array([machine.link(joint).joint.range for joint in joints]), len(joints)
+    if not n:
+        return np.zeros((0, 1))
     if n in POINTS:
         axes = [np.linspace(lower, upper, POINTS[n]) for lower, upper in ranges.tolist()]
         return np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")])
@@ -224,7 +227,8 @@ def check(machine: Machine) -> None:
     bars lie in one line. Strokes must cover the range, also of cylinders that share oil, and lever arms keep their
     sign; of several actuators that are there to move one joint each may pass a dead point, but not all at once.
     Cylinders that only together move several joints, as those of a platform, must do so. The volume of a gas cylinder
-    must stay positive and its pins and those of a spring apart.
+    must stay positive and its pins and those of a spring apart. The beam of a rangefinder must hit the
+    ground somewhere.
 
     Raises:
         ImpossibleError: names the loop or cylinder, the posture and the remedy.
@@ -236,7 +240,7 @@ def check(machine: Machine) -> None:
 def mistake(machine: Machine) -> ImpossibleError | None:
     """The first thing that `check` refuses; None if there is none."""
     try:
-        return next((each for kind in (_of_loops, _of_parts) for each in kind(machine)), None)
+        return next((each for kind in (_of_loops, _of_parts, _of_beams) for each in kind(machine)), None)
     except ImpossibleError as error:  # of a posture
         return error
 
@@ -323,6 +327,27 @@ def _of_parts(machine: Machine) -> Iterator[ImpossibleError]:
             yield ImpossibleError(f"the gas of '{part.name}' would have a volume of {1e3 * volumes[smallest]:.3f} l at "
                                   f"{range_.place(smallest)}", "correct its volume, area, reference length or pins, or "
                                   "narrow the joints' limits")
+
+
+def _of_beams(machine: Machine) -> Iterator[ImpossibleError]:
+    """Rangefinders that read nothing, wherever the joints stand that move them."""
+    geometry = Geometry(machine)
+    for laser in machine.rangefinders:
+        moving = {joint for link in machine.ancestry(laser.link) for joint in machine.followed.get(link, ())}
+        joints = [joint for joint in machine.joints if joint in moving]
+
+        def reading(_: ca.SX, at: dict[str, ca.SX], laser: Rangefinder = laser) -> list[ca.SX]:
+            pose, beam = geometry.relative_pose(BASE, laser.link, at), ca.DM(laser.direction)
+            height = pose.point(geometry.point(laser.name))[2] - machine.ground
+            return [-height * ca.norm_2(beam) / (pose.rotation @ beam)[2]]
+
+        found = sampled(geometry, joints, over(machine, joints), reading).values[0]
+        if not np.any((found > 0) & (found <= laser.range)):
+            yield ImpossibleError(
+                f"the beam of '{laser.name}' cannot hit the ground, which is at {machine.ground:.6g} m, within its "
+                f"range of {laser.range:.6g} m{', wherever its link stands' * bool(joints)}", "let it start above and "
+                "point down, towards -z of the base frame, or correct 'ground', its range or the joints' limits",
+                f"rangefinders[{laser.name}].direction")
 
 
 def _dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylinder]) -> Iterator[ImpossibleError]:

@@ -61,7 +61,7 @@ class Sensor(Noun):
 
     def _mistakes(self) -> Iterator[ImpossibleError]:
         endings = {channel: channel.rpartition(".")[2] for channel in self.channels}
-        if unknown := next((name for name, ending in endings.items() if ending not in CHANNEL_UNITS), None):
+        for unknown in [name for name, ending in endings.items() if ending not in CHANNEL_UNITS]:
             part, _, quantity = unknown.rpartition(".")
             close = get_close_matches(quantity, CHANNEL_UNITS, 1)
             yield ImpossibleError(f"'{unknown}' is the name of no channel", f"did you mean '{part}.{close[0]}'"

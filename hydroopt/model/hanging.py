@@ -65,8 +65,11 @@ class Hanging:
         low, high = self.model.machine.ranges[self.joints].T
         for _ in range(STEPS):
             force, curvature = self.model.over(self._static, found)
-            sizes, axes = np.linalg.eigh((curvature + np.swapaxes(curvature, 1, 2)) / 2)
-            along = np.einsum("nij,ni->nj", axes, force[:, :, 0]) / np.maximum(np.abs(sizes), 1e-9)
+            pull, at = force[:, :, 0], found[:, self.joints]
+            free = ((at > low) | (pull < 0)) & ((at < high) | (pull > 0))  # not held at the end of its range
+            sizes, axes = np.linalg.eigh(
+                (curvature + np.swapaxes(curvature, 1, 2)) / 2 * (free[:, :, None] & free[:, None]))
+            along = np.einsum("nij,ni->nj", axes, pull * free) / np.maximum(np.abs(sizes), 1e-9)
             step = np.clip(np.einsum("nij,nj->ni", axes, along), -LONGEST, LONGEST)
             moved = np.clip(found[:, self.joints] - step, low, high)
             still = np.max(np.abs(moved - found[:, self.joints])) < STILL

@@ -10,7 +10,6 @@ the ranges of the joints; a slide with a cylinder of its own follows from the le
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.general_loops import Start
+from hydroopt.machine.general_loops import MOST, NEARLY, ROUNDING, Start, moved_aside, spread
 from hydroopt.machine.geometry import Geometry
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.least_squares_by_sample import nearest
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
-from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 ALONG, CORRECTIONS = 16, 2
@@ -94,12 +92,10 @@ SAMPLES = {1: 96, 2: 256}
 DEGREES = {1: 8, 2: 5, 3: 4}
 """Samples, and the highest degree of the polynomial, by how many lengths and joints it depends on; 512 and 3 for
 more."""
-FEW, MOST = 3, 6
-"""Newton's steps that are enough, and the greatest number of them if no degree makes do with those."""
+FEW = 3
+"""Newton's steps that are enough; if no degree makes do with those, up to `MOST` are taken."""
 CALIBRATED = 0.01
 """How far [m] calibrated geometry may move lengths from those of the machine file."""
-NEARLY, ROUNDING = 1e-8, 1e-12
-"""Errors [rad or m] of positions that are allowed before the last step and after it."""
 
 
 class Slide(NamedTuple):
@@ -147,9 +143,7 @@ class Together(NamedTuple):
         """
         own, at = list(self.joints), ca.densify(q)
         known, arms = _lengths(dynamics, self.cylinders)
-        terms = self.start.terms(ca.vertsplit(ca.vertcat(length, *(q[k] for k in self.given))))
-        at[own] = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
-                               for row in self.start.coefficients))
+        at[own] = self.start.at(ca.vertsplit(ca.vertcat(length, *(q[k] for k in self.given))))
         step = ca.SX(0)
         for _ in range(self.steps):
             found, slope = ca.substitute([known, arms], [dynamics.coordinates.q], [at])
@@ -218,12 +212,10 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
         (machine.joints, joints), (machine.joints, given), ([each.name for each in machine.cylinders],
                                                             [each.name for each in cylinders])))
     n = len(read) + len(others)
-    count, free = SAMPLES.get(n, 512), [*own, *others]
-    drawn = np.sin(np.pi / 2 * (2 * halton(len(free), count).T - 1))
-    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(free), indexing="ij")).reshape(len(free), -1)[:, :count]
-    ranges = machine.ranges[free]
-    q = np.tile(machine.ranges.mean(axis=1)[:, None], (1, corners.shape[1] + count))
-    q[free] = ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * np.hstack([corners, drawn])
+    free = [*own, *others]
+    drawn = spread(machine.ranges[free], SAMPLES.get(n, 512))
+    q = np.tile(machine.ranges.mean(axis=1)[:, None], (1, drawn.shape[1]))
+    q[free] = drawn
     function = ca.Function("lengths", [model.dynamics.coordinates.q],
                            [ca.densify(each) for each in _lengths(model.dynamics, read)])
 
@@ -233,16 +225,12 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
 
     measured = lengths(q)[0]
     inputs = np.vstack([measured, q[list(others)]])
-    signs = 1 - 2 * (np.arange(measured.size).reshape(measured.shape) % 3 % 2)
-    moved_inputs = np.vstack([measured + CALIBRATED * signs, q[list(others)]])
+    moved_inputs = np.vstack([measured + CALIBRATED * moved_aside(measured), q[list(others)]])
     best: Together | None = None
     for degree in range(1, DEGREES.get(n, 3) + 1):
-        powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(n), k))
-        shape = Start(tuple(inputs.mean(axis=1).tolist()), tuple((np.ptp(inputs, axis=1) / 2).tolist()), powers,
-                      np.zeros((len(own), len(powers))))
-        fitted = np.linalg.lstsq(np.array(shape.terms(inputs))[:, ::2].T, q[list(own), ::2].T, rcond=1e-9)[0].T
+        start = Start.fitted(degree, inputs.mean(axis=1), np.ptp(inputs, axis=1) / 2, inputs, q[list(own)], 1e-9)
         at, error = q.copy(), np.inf
-        at[list(own)] = fitted @ np.array(shape.terms(moved_inputs))
+        at[list(own)] = start.coefficients @ np.array(start.terms(moved_inputs))
         for steps in range(1, MOST + 1 if best is None else best.steps):
             found, arms = lengths(at)
             if not np.all(np.isfinite(found)) or not np.all(np.isfinite(arms)):
@@ -250,7 +238,7 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
             at[list(own)] += np.einsum("nji,in->jn", np.linalg.pinv(arms), measured - found)
             before, error = error, float(np.max(np.abs(at[list(own)] - q[list(own)])))
             if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(q)))):
-                best = Together(own, read, others, shape._replace(coefficients=fitted), steps)
+                best = Together(own, read, others, start, steps)
                 break
         if best is not None and best.steps <= FEW:
             break

@@ -77,7 +77,7 @@ def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
 def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
     """Controller, loop, and the least margins of gain and phase on the way and anywhere, each with its place."""
     rows = []
-    on_the_way = [at.name for at in comparison.points if at.name.startswith("motion")]
+    on_the_way = [at.name for at in comparison.points if at.on_motion]
     for each in comparison.setting.plant.actuators:
         name = each.actuator.name
         cells = []
@@ -147,11 +147,11 @@ def _lost(comparison: Comparison) -> list[tuple[str, ...]]:
 def _bode(comparison: Comparison) -> list[Curves]:
     """Every loop of the cascade, which all with it share, and of LQG where its Nyquist curve comes nearest to −1."""
     made, shown = [], _shown(comparison)
+    omega, responses = comparison.loop_responses
+    hertz = omega / (2 * np.pi)
     for k, each in enumerate(comparison.setting.plant.actuators):
-        hertz = shown[0][0].loops.omega / (2 * np.pi)
         gains, phases = [], []
-        for outcome, look in shown:
-            L = outcome.loops.cut[k]
+        for (outcome, look), L in zip(shown, (some[k] for some in responses), strict=True):
             gains.append((_label(outcome), look, 20 * np.log10(np.maximum(np.abs(L), 1e-300))))
             phases.append((_label(outcome), look, np.degrees(np.unwrap(np.angle(L)))))
         made += [Curves(f"{each.actuator.name}: gain of the loop [dB]", "frequency [Hz]", hertz, tuple(gains),

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
@@ -100,11 +101,9 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
     tilted = machine.gravity * STEEP * np.einsum("ac,mcrp->amrp", across, G)
     axes = _shown(np.concatenate([K, *tilted]), slope, force_std)
     directions = slope @ axes
-    r, size = len(machine.balances), machine.gravity
-    own = Gaussian.independent(
-        np.zeros(directions.shape[1] + r),
-        np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction)]))
-    own = own.and_independent(np.zeros(2), np.full(2, size * uncertain.slope))
+    r = len(machine.balances)
+    own = Gaussian(np.zeros(directions.shape[1] + r), block_diag(
+        np.eye(directions.shape[1]), uncertain.load_friction**2 * np.eye(r)))
     gain = machine.faults.gain if uncertain.gain is None else uncertain.gain
     readings = None if gain == 0 else _readings(known, found, among, gain or UNKNOWN_GAIN)
     made = Scale(machine, model, psi, directions, among @ taken, load, own, uncertain, angle_std, force_std,
@@ -194,9 +193,8 @@ def _readings(known: StoredInformation, found: GaussianPosterior, among: Array, 
     imitated = shown.T @ by_error
     left = by_error - shown @ imitated
     information = left.T @ left + imitated.T @ (imitated - shown.T @ (shown @ imitated)) + np.eye(r) / std**2
-    root = np.asarray(np.linalg.cholesky(information)).T
-    pull = np.sum(predicted * (read - predicted), axis=1)
-    return ForceReadings(among @ taken, Gaussian(root, np.asarray(np.linalg.solve(root.T, pull))), std)
+    covariance, pull = np.asarray(np.linalg.inv(information)), np.sum(predicted * (read - predicted), axis=1)
+    return ForceReadings(among @ taken, Gaussian(covariance @ pull, covariance), std)
 
 
 def with_offsets(model: Model) -> Model:

@@ -93,7 +93,7 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
             found = sought.solved_empty()
             if i == taring - 1:
                 found = _tared(equations, known, i + 1, sought.own)
-            tared, contradicted, start = found.own_known, found.misfit > CONTRADICTED, i + 1
+            tared, contradicted, start = found.own, found.misfit > CONTRADICTED, i + 1
             yield Reading(i, found, 0, Weighable.CONTRADICTED if contradicted else Weighable.TARING, np.inf)
             continue
         if i == start:

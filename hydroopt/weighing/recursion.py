@@ -30,8 +30,6 @@ SMALLEST = 0.02
 """Mass, as a part of the full scale, for which the priors of a small load are made."""
 AGAIN = 3
 """How often the load is solved for, with priors for the mass that was found before."""
-TINY = 1e-6
-"""Standard deviation of the load's numbers where the machine is known to be empty."""
 ALIKE = 1e-3
 """Part by which an earlier change must be likelier than a later one: where nothing moved between, they are alike."""
 SHOWN = 3.0
@@ -51,29 +49,18 @@ class Weighed:
     """A load and the scale's own unknowns, as far as the samples tell them.
 
     Attributes:
-        own: the c own unknowns.
-        both: them, and the ten numbers of the load about its expected centre after them.
+        own: the c own unknowns, whatever the load is.
+        load: the ten numbers of the load about its expected centre.
         misfit: root mean square of the weighted residuals, about 1 where all is as expected.
         change: the likeliest change of the mass within the last samples.
         gain: standard deviation of the relative error that all masses have in common.
     """
 
-    own: Array
-    both: Gaussian
+    own: Gaussian
+    load: Gaussian
     misfit: float
     change: Change
     gain: float
-
-    @property
-    def own_known(self) -> Gaussian:
-        """The scale's own unknowns, whatever the load is."""
-        return self.both.without(slice(len(self.own), len(self.both.right)))
-
-    @property
-    def load(self) -> Gaussian:
-        """The ten numbers of the load."""
-        at = slice(len(self.own), None)
-        return Gaussian(self.both.root[at, at], self.both.right[at])
 
     @cached_property
     def phi(self) -> Array:
@@ -135,12 +122,12 @@ class Recursion:
             mass: about what the load weighs [kg].
         """
         self._equations, kernel = equations, equations.smoothed.kernel
-        c, r, lags = len(known.right), equations.rest.shape[1], len(kernel.covariance) - 1
+        c, r, lags = len(known.mean), equations.rest.shape[1], len(kernel.covariance) - 1
         self.rows, self._since, self._stretch = 0, 0, -1
         self.own, self.phi = known.mean, expected(equations.scale.load, mass)
         # columns: own unknowns, load, forces, changes since each of the last samples, the latest first
         self._table: Array = np.zeros((c + 10, c + 10 + 1 + RECENT))
-        self._table[:c, :c], self._table[:c, c + 10] = known.root, known.right
+        self._table[:c, :c], self._table[:c, c + 10] = known.rows
         self._products = np.zeros((1 + RECENT, 2))
         self._jump = kernel.of_a_jump(RECENT)
         # mean squares of the residuals after each of the last samples: those of before a change widen its errors
@@ -228,7 +215,8 @@ class Recursion:
             self.phi = np.asarray(np.linalg.solve(block[:, :10], block[:, 10]))
         root, right = self._table[:, : c + 10].copy(), self._table[:, c + 10].copy()
         root[c:, c:], right[c:] = block[:, :10], block[:, 10]
-        self.own = np.asarray(np.linalg.solve(root[:c, :c], right[:c] - root[:c, c:] @ self.phi))
+        both = Gaussian.of_rows(root, right)
+        self.own = both.mean[:c]
         (rest, _), *changes = products
         ratios = [along**2 / size if size > 0 else 0.0 for size, along in changes]
         ago = 0
@@ -237,17 +225,17 @@ class Recursion:
         size, along = changes[ago]
         change = Change(float(ratios[ago]) / max(1.0, self._before[-1]), ago,
                         float(along / size) if size > 0 else 0.0)
-        return Weighed(self.own, Gaussian(root, right), float(np.sqrt(rest / max(self.rows, 1))), change,
+        return Weighed(both[:c], both[c:], float(np.sqrt(rest / max(self.rows, 1))), change,
                        self._equations.scale.gain)
 
     def solved_empty(self) -> Weighed:
         """The scale's own unknowns after samples of the empty machine, with a load of zero."""
         c = len(self.own)
-        own = Gaussian(self._table[:c, :c], self._table[:c, c + 10])
+        own = Gaussian.of_rows(self._table[:c, :c], self._table[:c, c + 10])
         rest = self._products[0, 0] + np.sum(self._table[c:, c + 10] ** 2)
         self.own, self.phi = own.mean, np.zeros(10)
         misfit = float(np.sqrt(rest / max(self.rows, 1)))
-        return Weighed(self.own, own.and_independent(np.zeros(10), np.full(10, TINY)), misfit, Change(0.0, 0, 0.0),
+        return Weighed(own, Gaussian(np.zeros(10), np.zeros((10, 10))), misfit, Change(0.0, 0, 0.0),
                        self._equations.scale.gain)
 
 

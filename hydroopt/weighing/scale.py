@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine
@@ -20,51 +21,30 @@ STEEPEST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """x with ``root·x − right`` independent and standard normal; `root` (k, k) is upper triangular."""
+    """Numbers (k,) with a mean (k,) and a covariance (k, k)."""
 
-    root: Array
-    right: Array
+    mean: Array
+    covariance: Array
 
     @classmethod
-    def independent(cls, mean: Array, std: Array) -> Gaussian:
-        """Independent numbers of these means and standard deviations (k,)."""
-        return cls(np.diag(1 / std), mean / std)
+    def of_rows(cls, root: Array, right: Array) -> Gaussian:
+        """The x with ``root·x − right`` independent and standard normal."""
+        inverse = np.linalg.inv(root)
+        return cls(np.asarray(np.linalg.solve(root, right)), inverse @ inverse.T)
 
     @property
-    def mean(self) -> Array:
-        """(k,)."""
-        return np.asarray(np.linalg.solve(self.root, self.right))
+    def rows(self) -> tuple[Array, Array]:
+        """(root, right) of `of_rows`, with an upper triangular root (k, k)."""
+        root = np.asarray(np.linalg.cholesky(np.linalg.inv(self.covariance))).T
+        return root, root @ self.mean
 
-    @property
-    def covariance(self) -> Array:
-        """(k, k)."""
-        inverse = np.linalg.inv(self.root)
-        return np.asarray(inverse @ inverse.T)
-
-    def without(self, places: slice) -> Gaussian:
-        """The others alone, whatever those at `places` (the last ones) are."""
-        kept = slice(0, places.start)
-        # the last unknowns first, so that the triangle's lower part is free of them
-        order = np.r_[places.start:len(self.right), kept]
-        rows: Array = np.asarray(np.linalg.qr(np.column_stack([self.root[:, order], self.right]), mode="r"))
-        count = len(self.right) - places.start
-        return Gaussian(rows[count:len(order), count:-1], rows[count:len(order), -1])
-
-    def changed(self, by: Array, covariance: Array) -> Gaussian:
-        """Of ``by·x`` and a change of this covariance (k, k), which is independent of x."""
-        root = np.linalg.cholesky(np.linalg.inv(by @ self.covariance @ by.T + covariance)).T
-        return Gaussian(root, root @ (by @ self.mean))
+    def __getitem__(self, places: slice) -> Gaussian:
+        """Some of the numbers, whatever the others are."""
+        return Gaussian(self.mean[places], self.covariance[places, places])
 
     def and_other(self, other: Gaussian) -> Gaussian:
-        """These unknowns, and after them others that are independent of them."""
-        k, more = len(self.right), len(other.right)
-        root = np.zeros((k + more, k + more))
-        root[:k, :k], root[k:, k:] = self.root, other.root
-        return Gaussian(root, np.concatenate([self.right, other.right]))
-
-    def and_independent(self, mean: Array, std: Array) -> Gaussian:
-        """These unknowns, and after them some that are independent of them and of each other."""
-        return self.and_other(Gaussian.independent(mean, std))
+        """These numbers, and after them others that are independent of them."""
+        return Gaussian(np.concatenate([self.mean, other.mean]), block_diag(self.covariance, other.covariance))
 
 
 @dataclass(frozen=True)
@@ -156,7 +136,7 @@ class Scale:
         taken: (p, r) what the calibration took for parameters, per friction that grows with the force of each balance;
             while it learns from a known load, (p, 2·r), also per part of each force that is read too much.
         load: what it weighs.
-        own: what is known of its own unknowns.
+        known: what is known of its own unknowns but gravity.
         uncertain: what no calibration tells.
         angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces, as if it were white; inf of
             passive joints, whose balances do not weigh.
@@ -176,7 +156,7 @@ class Scale:
     directions: Array
     taken: Array
     load: CarriedLoad
-    own: Gaussian
+    known: Gaussian
     uncertain: Uncertain
     angle_std: Array
     force_std: Array
@@ -202,10 +182,16 @@ class Scale:
         """(3, 3): unit vectors in the base frame, two across the machine file's gravity and one along it."""
         return axes_about(self.gravity)
 
-    @property
-    def count(self) -> int:
-        """Number of its own unknowns."""
-        return len(self.own.right)
+    @cached_property
+    def own(self) -> Gaussian:
+        """What is known of all its own unknowns, with gravity on the slope as stated."""
+        roll, pitch, std = self.tilt
+        size = float(np.linalg.norm(self.gravity))
+        return self.known.and_other(Gaussian(size * self._down(roll, pitch)[:2], (size * std) ** 2 * np.eye(2)))
+
+    def _down(self, roll: float, pitch: float) -> Array:
+        """(3,) gravity's direction by `axes` at a roll and a pitch of the base [rad]."""
+        return self.axes @ [np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)]
 
     @property
     def gains(self) -> int:
@@ -225,28 +211,20 @@ class Scale:
         Raises:
             ProblemError: gravity is nearly across that of the machine file.
         """
-        std = self.uncertain.slope if std is None else std
-        size = float(np.linalg.norm(self.gravity))
-        down = self.axes @ np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
-        if not down[2] > STEEPEST:
+        if not self._down(roll, pitch)[2] > STEEPEST:
             raise ProblemError("this slope turns gravity more than 60 degrees from that of the machine file",
                                where="slope", remedy="give roll and pitch of the base as the file's orientation has "
                                                      "them, in rad")
-        mean = size * down[:2]
-        tilt = slice(self.count - 2, self.count)
-        return replace(self, tilt=(roll, pitch, std),
-                       own=self.own.without(tilt).and_independent(mean, np.full(2, size * std)))
+        return replace(self, tilt=(roll, pitch, self.uncertain.slope if std is None else std))
 
 
 def with_gains(scale: Scale) -> Scale:
     """The same scale with the errors in scale of force readings among its own unknowns, if there may be any."""
     if scale.readings is None:
         return scale
-    own = scale.own.without(slice(scale.count - 2, scale.count)).and_other(scale.readings.too_large)
-    own, wrong = own.and_independent(np.zeros(2), np.ones(2)), scale.readings.taken
-    made = replace(scale, psi=scale.psi + wrong @ scale.read, read=np.zeros(len(scale.read)), own=own,
-                   taken=np.hstack([scale.taken, wrong]), gain=0.0)
-    return made.on_slope(*scale.tilt)
+    wrong = scale.readings.taken
+    return replace(scale, psi=scale.psi + wrong @ scale.read, read=np.zeros(len(scale.read)), gain=0.0,
+                   known=scale.known.and_other(scale.readings.too_large), taken=np.hstack([scale.taken, wrong]))
 
 
 def corrected(scale: Scale, known: Gaussian, weights: Array) -> Scale:
@@ -257,28 +235,24 @@ def corrected(scale: Scale, known: Gaussian, weights: Array) -> Scale:
 
     Args:
         scale: with gains.
-        known: of its own unknowns after the known load.
+        known: of its own unknowns but gravity after the known load.
         weights: (r,) of the forces in a load's mass, which add up to 1.
     """
     if scale.readings is None:
-        return replace(scale, own=known, known_loads=scale.known_loads + 1)
-    r, k = len(scale.read), scale.count - 2 - len(scale.read)
-    at = slice(k, k + r)
-    covariance, read = known.covariance[at, at], known.mean[at]
-    root = np.asarray(np.linalg.cholesky(np.linalg.inv(covariance))).T
-    own = known.without(slice(k, scale.count)).and_independent(np.zeros(2), np.ones(2))
-    return replace(scale, psi=scale.psi - scale.readings.taken @ read, read=read, own=own, taken=scale.taken[:, :r],
-                   gain=float(np.sqrt(weights @ covariance @ weights)), known_loads=scale.known_loads + 1,
-                   readings=replace(scale.readings, too_large=Gaussian(root, root @ read)))
+        return replace(scale, known=known, known_loads=scale.known_loads + 1)
+    r = len(scale.read)
+    wrong = known[-r:]
+    return replace(scale, psi=scale.psi - scale.readings.taken @ wrong.mean, read=wrong.mean, known=known[:-r],
+                   taken=scale.taken[:, :r], gain=float(np.sqrt(weights @ wrong.covariance @ weights)),
+                   known_loads=scale.known_loads + 1, readings=replace(scale.readings, too_large=wrong))
 
 
 def in_another_session(scale: Scale) -> Scale:
     """The same scale after pressures' zeros have drifted anew; on the slope as stated."""
-    own = scale.own.without(slice(scale.count - 2, scale.count))
-    by, k = np.eye(len(own.right)), len(scale.drifts)
-    by[:k, :k] -= scale.drifts @ scale.drifts.T
-    own = own.changed(by, np.eye(len(by)) - by @ by)
-    return replace(scale, own=own.and_independent(np.zeros(2), np.ones(2))).on_slope(*scale.tilt)
+    kept = np.eye(len(scale.known.mean))
+    kept[:len(scale.drifts), :len(scale.drifts)] -= scale.drifts @ scale.drifts.T
+    return replace(scale, known=Gaussian(
+        kept @ scale.known.mean, kept @ scale.known.covariance @ kept.T + np.eye(len(kept)) - kept @ kept))
 
 
 def axes_about(gravity: Array) -> Array:

@@ -194,7 +194,8 @@ class Weighing(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Whether readings contradict the calibrated model, and what is known of their scale."""
+        """Whether readings contradict the calibrated model, whether anything was weighed, and what is known of the
+        readings' scale."""
         return tuple(self._diagnostics())
 
     def _diagnostics(self) -> Iterator[Diagnostic]:
@@ -206,6 +207,12 @@ class Weighing(Answer):
                 "Check where the load's centre of mass is (--centre, --centre-sigma), signs and channels of "
                 "pressures, that the machine was empty during the tare, the tool, and the calibration.",
                 Meaning.CONTRADICTION)
+        elif self.loads and not any(each.ok for each in self.loads):
+            yield Diagnostic.of("no load weighed", tuple(each.name for each in self.loads), {
+                "why": "; ".join(dict.fromkeys(str(each.reading.status) for each in self.loads))}, (
+                "Not one load could be weighed: {subject} ({why})."),
+                "Check where the load's centre of mass is (--centre, --centre-sigma), and move several joints for "
+                "some seconds with each load.", Meaning.CONTRADICTION)
         if self.scale.exact:
             yield scale_assumed()
         readings = self.scale.readings
@@ -382,7 +389,7 @@ def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
         raise ProblemError(f"the log contradicts the scale's model ({found.misfit:.1f} times the expected residuals)",
                            where=log.path or log.name, remedy="check the mass, the load's centre and the slope")
     shown = np.sum(np.where(made.moving, made.K[:, :, -10], 0.0) ** 2, axis=0) / scale.force_std**2
-    made_sure = corrected(scale, found.own_known, shown / np.sum(shown))
+    made_sure = corrected(scale, found.own[:-2], shown / np.sum(shown))
     wrong = float(max(made_sure.read, key=abs))
     if scale.readings is not None and abs(wrong) > IMPLAUSIBLE * scale.readings.std:
         raise ProblemError(f"a force reading would have to be {100 * abs(wrong):.0f} % too "

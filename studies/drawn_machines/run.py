@@ -21,7 +21,7 @@ from hydroopt import (
     solve,
 )
 from hydroopt.control.cascade import Cascade
-from hydroopt.control.closed_loop import simulate, tip
+from hydroopt.control.closed_loop import tip
 from hydroopt.control.comparison import FEEDFORWARD, LQG, compare
 from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import tuned
@@ -229,20 +229,14 @@ def moved(case: Case) -> float:
 def cascade(setting: Setting, psi: Array, refit: ValveRefit | None = None, kind: type[Cascade] = Cascade) -> Cascade:
     """The feedforward cascade that knows ψ and the setting's θ."""
     plant, demands = setting.plant, setting.demands
-    points = [point for some in setting.points(plant, psi, setting.theta) for point in some]
-    gains = tuned(setting.plants(plant, points, psi, setting.theta), points, demands.valves, setting.sensitivity)
+    gains = tuned(setting.points(plant, psi, setting.theta), demands.valves, setting.sensitivity)
     return kind(demands.valves, demands.by(plant.model, psi), gains, 1 / RATE, refit=refit)
 
 
 def rms(setting: Setting, controller: Cascade) -> float:
     """Of the tip's distance [mm] from where the true machine's would be; infinite if it hits its stops."""
-    true = setting.true_plant
-    done = simulate(setting.demands, controller, true, setting.true.psi, setting.true_theta, seed=setting.seed,
-                    bias=setting.bias)
-    if done.stopped:
-        return np.inf
-    off = tip(true, done.q) - tip(true, setting.reference.at(setting.t).q)
-    return float(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    done = setting.run(controller)
+    return np.inf if done.stopped else float(1e3 * np.sqrt(np.mean(setting.tip_error(done) ** 2)))
 
 
 class Learning(Cascade):

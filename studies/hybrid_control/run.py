@@ -21,7 +21,7 @@ from hydroopt.control import closed_loop
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
-from hydroopt.control.linear_plant import linearised, point, sampled
+from hydroopt.control.linear_plant import point
 from hydroopt.control.loops import response
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.setting import COMPLETE, NOMINAL, TRUE, ModelVariant, Setting
@@ -169,9 +169,7 @@ def gains_of(plant: Plant, motion: Trajectory) -> Gains:
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
     setting = Setting(plant, motion, ModelVariant(TRUE, "nominal", plant.model, psi), theta, theta, RATE,
                       sensitivity=SENSITIVITY)
-    on_motion, in_workspace = setting.points(plant, psi, theta)
-    points = [*on_motion, *in_workspace]
-    return tuned(setting.plants(plant, points, psi, theta), points, setting.demands.valves, setting.sensitivity)
+    return tuned(setting.points(plant, psi, theta), setting.demands.valves, setting.sensitivity)
 
 
 def gain_margin(plant: Plant, motion: Trajectory) -> float:
@@ -184,7 +182,6 @@ def gain_margin(plant: Plant, motion: Trajectory) -> float:
     z = np.exp(1j * np.geomspace(1, 0.95 * np.pi * RATE, 2000) / RATE)
     pole = np.exp(-1 / RATE / GAINS.filter_time)
     feedback = GAINS.proportional * (1 + 1 / RATE / GAINS.integral_time / (z - 1)) * (1 - pole) / (1 - pole / z)
-    delays = np.array([each.valve.delay for each in plant.actuators])
     largest = 0.0
     for stiffness in STIFFNESS * np.array([1 / FACTOR, 1.0, FACTOR]):
         for k in np.searchsorted(motion.t, SLIDE[0] + (SLIDE[1] - SLIDE[0]) * np.array([0.1, 0.5, 0.9])):
@@ -192,8 +189,8 @@ def gain_margin(plant: Plant, motion: Trajectory) -> float:
             speed = np.where(np.abs(motion.qd[k]) < SLOWEST, SLOWEST, motion.qd[k])
             here = np.asarray(model.forward_kinematics(q)[-1])[2, 3]
             touching = Plant(model, floor(here + FORCE / stiffness - SURFACE, stiffness))
-            at = point(touching, "sliding", q, speed, psi, theta)
-            moved = response(sampled(linearised(touching, at, psi, theta), delays, 1 / RATE), z)[:, 3:6]
+            at = point(touching, "sliding", q, speed, psi, theta, 1 / RATE)
+            moved = response(at.system, z)[:, 3:6]
             slopes = Valves(touching, theta).slopes(at.speed, at.length, at.pressure, at.supply)
             to_tip = np.asarray(model.tip_jacobian(q))[:3] @ np.linalg.inv(at.lever_arm)
             across = np.linalg.solve(to_tip, -NORMAL)

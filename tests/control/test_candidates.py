@@ -66,7 +66,6 @@ def by_name(comparison: Comparison, name: str) -> Outcome:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
     """The tip, whose lever is 7 m long, stays within millimetres of a motion over most of the joint's range."""
     setting, complete = exact.setting, by_name(exact, "feedforward complete")
@@ -76,7 +75,6 @@ def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
     assert by_name(exact, "LQG").tip_rms < 5e-3
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -> None:
     complete = by_name(exact, "feedforward complete").tip_rms
@@ -126,11 +124,11 @@ def test_the_seed_decides_the_noise_and_all_candidates_share_it(setting: Setting
 
 def test_sensors_err_as_the_file_states_and_add_their_offsets(setting: Setting) -> None:
     plant = setting.plant
-    quiet, noisy = (Sensors(plant, np.array([1000.0]), None, 1 / RATE, seed, 4000) for seed in (None, 0))
+    quiet, noisy = (Sensors(plant, np.array([1000.0]), None, 1 / RATE, seed) for seed in (None, 0))
     pressure = np.array([[5e6, 1e6]])
     assert_allclose(quiet.read(0, np.array([0.3]), pressure, 9e6),
                     [0.3, 5e6 + 1000.0 / plant.actuators[0].areas[0], 1e6, 9e6])
-    shown = np.array([noisy.read(k, np.array([0.3]), pressure, 9e6).copy() for k in range(4000)])
+    shown = np.array([noisy.read(k, np.array([0.3]), pressure, 9e6) for k in range(4000)])
     sensor = plant.machine.sensor("lift.q")
     assert sensor is not None
     assert np.std(shown[:, 0]) == pytest.approx(sensor.std, rel=0.05)

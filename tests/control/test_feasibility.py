@@ -7,7 +7,7 @@ import pytest
 from hydroopt import Model, Plant, load_machine
 from hydroopt.control.comparison import refuse_unstable
 from hydroopt.control.linear_plant import sampled
-from hydroopt.control.loops import margins
+from hydroopt.control.loops import Loops
 from hydroopt.control.reference import SPARE, flow_demand, steady_speeds
 from hydroopt.errors import ProblemError
 from hydroopt.machine.environment import Pump
@@ -59,7 +59,7 @@ def test_a_loop_is_refused_if_its_errors_grow_to_e_times_within_the_motion(durat
     growing, period = np.array([[1 / 40, 3.0], [-3.0, 1 / 40]]), 0.01
     plant = sampled(control.ss(growing, [[0.0], [1.0]], np.eye(2)[:1], 0), np.zeros(1), period)
     none = control.ss([], [], [], 0, period)
-    found = margins(plant, none, ["loop"], "motion at 1.0 s")[0]
+    found = Loops("motion at 1.0 s", ["loop"], plant, none, (0,)).margins
     assert found[0].growth == pytest.approx(1 / 40, rel=1e-6)
     if refused:
         with pytest.raises(ProblemError, match=r"'loop' is unstable with PI in the posture of the motion at 1\.0 s"):

@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_lyapunov
 
-from hydroopt.control.linear_plant import Point, linearised, sampled
-from hydroopt.control.linear_plant import point as steady_point
+from hydroopt.control.linear_plant import Point, linearised, point, sampled
 from hydroopt.control.lqg import (
     BANDWIDTH_SHARE,
     FORCE_DRIFT,
@@ -38,10 +37,11 @@ def made() -> tuple[Design, control.StateSpace, Valves, np.ndarray, Point]:
     plant = Plant(Model(load_machine("patu655_lift")))
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
     lower, upper = plant.machine.link("lift").joint.range
-    at = steady_point(plant, "middle", np.array([(lower + upper) / 2]), np.array([0.05]), psi, theta)
-    held = sampled(linearised(plant, at, psi, theta), np.array([0.017]), PERIOD)
+    q, qd = np.array([(lower + upper) / 2]), np.array([0.05])
+    late = sampled(linearised(plant, plant.steady(q, qd, psi, theta), psi, theta), np.array([0.017]), PERIOD)
+    at = replace(point(plant, "middle", q, qd, psi, theta, PERIOD), system=late)
     valves, noise = Valves(plant, theta), reading_noise(plant)
-    return design(held, at, valves, BANDWIDTH, noise), held, valves, noise, at
+    return design(at, valves, BANDWIDTH, noise), late, valves, noise, at
 
 
 def weights(one: Matrices, at: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

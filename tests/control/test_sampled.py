@@ -8,10 +8,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hydroopt.control.linear_plant import sampled
-from hydroopt.control.loops import Loops, margins, response
+from hydroopt.control.loops import Loops, response
 
 PERIOD = 0.02
 INTEGRATOR = control.ss(0, 1, 1, 0)
+
+
+def loops(plant: control.StateSpace, feedback: control.StateSpace) -> Loops:
+    """All loops of a plant whose first output is a position."""
+    return Loops("here", [f"loop {k}" for k in range(plant.ninputs)], plant, feedback, (0,))
 
 
 def proportional(gain: float) -> control.StateSpace:
@@ -41,19 +46,20 @@ def test_margins_of_an_integrator_with_one_sample_of_delay(gain: float) -> None:
 
     |L| = 1 where 2·sin(θ/2) = k·h, and there the phase is −90° − 3·θ/2.
     """
-    found, omega, L = margins(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain), ["loop"], "here")
+    made = loops(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain))
+    found = made.margins
     turn = 2 * np.arcsin(gain * PERIOD / 2)
     assert found[0].gain == pytest.approx(1 / (gain * PERIOD), rel=1e-3)
     assert found[0].phase == pytest.approx(np.pi / 2 - 1.5 * turn, rel=1e-3)
     assert found[0].phase_at == pytest.approx(turn / PERIOD, rel=1e-3)
-    z = np.exp(1j * omega * PERIOD)
-    assert_allclose(L[0], gain * PERIOD / (z * (z - 1)), rtol=1e-9)
+    z = np.exp(1j * made.omega * PERIOD)
+    assert_allclose(made.cut[0], gain * PERIOD / (z * (z - 1)), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("gain", "stable"), [(49.0, True), (51.0, False)])
 def test_stability_ends_where_the_characteristic_polynomial_says(gain: float, stable: bool) -> None:
     plant = sampled(INTEGRATOR, np.array([PERIOD]), PERIOD)
-    (found,), _, _ = margins(plant, proportional(gain), ["loop"], "here")
+    (found,) = loops(plant, proportional(gain)).margins
     assert (found.damping > 0) == stable
     roots = np.roots([1, -1, gain * PERIOD])
     closed = control.feedback(plant, proportional(gain), sign=1).poles()
@@ -67,11 +73,11 @@ def test_a_loop_is_cut_while_the_others_stay_closed() -> None:
     plant = control.ss(np.zeros((2, 2)), [[1.0, 0.5], [0.3, 1.0]], np.eye(2), 0)
     gains = np.array([3.0, 7.0])
     feedback = control.ss([], [], [], -np.diag(gains), PERIOD)
-    _, omega, L = margins(sampled(plant, np.zeros(2), PERIOD), feedback, ["a", "b"], "here")
+    made = loops(sampled(plant, np.zeros(2), PERIOD), feedback)
     # x1+ = x1 + h·(u1 + u2/2), x2+ = x2 + h·(0.3·u1 + u2), u2 = −7·x2: solved for x1 by u1
-    z = np.exp(1j * omega * PERIOD)
+    z = np.exp(1j * made.omega * PERIOD)
     second = 0.3 * PERIOD / (z - 1 + 7 * PERIOD)
-    assert_allclose(L[0], 3 * PERIOD * (1 - 3.5 * second) / (z - 1), rtol=1e-9)
+    assert_allclose(made.cut[0], 3 * PERIOD * (1 - 3.5 * second) / (z - 1), rtol=1e-9)
 
 
 @pytest.fixture(scope="module", params=range(3))
@@ -103,16 +109,21 @@ def test_commands_that_wait_have_names(loop: tuple[control.StateSpace, control.S
 @pytest.mark.parametrize("gain", [2.0, 10.0, 25.0])
 def test_disk_margin_is_that_of_python_control(gain: float) -> None:
     """Of an integrator with a sample of delay."""
-    (found,), omega, _ = margins(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain), ["a"], "here")
+    made = loops(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain))
     loop = control.tf([gain * PERIOD], [1, -1, 0], PERIOD)
-    assert found.disk == pytest.approx(float(control.disk_margins(loop, omega, skew=0.0)[0]), rel=1e-6)
+    assert made.margins[0].disk == pytest.approx(float(control.disk_margins(loop, made.omega, skew=0.0)[0]), rel=1e-6)
+
+
+def test_an_unstable_loop_has_no_disk_margin() -> None:
+    made = loops(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(51.0))
+    assert made.margins[0].disk == made.disks[0] == 0
 
 
 def test_closed_loops_answer_to_steps_as_plant_and_feedback_do(
         loop: tuple[control.StateSpace, control.StateSpace]) -> None:
     """References of two outputs are subtracted from the readings, sample by sample."""
     plant, feedback = loop
-    found = Loops("here", np.ones(1), np.ones((2, 1)), plant, feedback, (0, 2))
+    found = Loops("here", ["u", "v"], plant, feedback, (0, 2))
     t, y = found.steps(6.0)
     assert (found.closed.input_labels, found.closed.output_labels) == (["a_reference", "c_reference"], ["a", "c"])
     for own, place in enumerate((0, 2)):
@@ -130,12 +141,12 @@ def test_the_least_damping_is_that_of_an_oscillator() -> None:
     """A sampled oscillator of 3 rad/s and a ratio of 0.05, without feedback, beside a position that nothing moves."""
     A = np.array([[0, 1, 0], [-9.0, -0.3, 0], [0, 0, 0]])
     plant = control.ss(A, [[0.0], [1], [1]], [[1.0, 0, 0]], 0)
-    (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(0.0), ["a"], "here")
+    (found,) = loops(sampled(plant, np.zeros(1), PERIOD), proportional(0.0)).margins
     assert found.undisturbed == pytest.approx(0.05, rel=1e-9)
-    (found,), _, _ = margins(sampled(plant, np.zeros(1), PERIOD), proportional(-5.0), ["a"], "here")
+    (found,) = loops(sampled(plant, np.zeros(1), PERIOD), proportional(-5.0)).margins
     assert found.damping < 0.05
     slower = sampled(control.ss(A[:2, :2], plant.B[:2], plant.C[:, :2], 0), np.zeros(1), PERIOD)
-    (found,), _, _ = margins(slower, proportional(0.0), ["a"], "here")
+    (found,) = loops(slower, proportional(0.0)).margins
     assert (found.damping, found.damping_at) == (pytest.approx(0.05, rel=1e-9), pytest.approx(3.0, rel=1e-9))
 
 
@@ -148,6 +159,6 @@ def test_a_narrow_resonance_takes_what_its_circle_takes() -> None:
     omega, ratio, size = 11.7, 1e-4, 1e-4
     A = np.array([[0.0, 1.0], [-omega**2, -2 * ratio * omega]])
     plant = sampled(control.ss(A, [[0.0], [size * omega**2]], [[1.0, 0.0]], 0), np.zeros(1), 1e-3)
-    (found,), _, _ = margins(plant, control.ss([], [], [], -1, 1e-3), ["loop"], "here")
+    (found,) = loops(plant, control.ss([], [], [], -1, 1e-3)).margins
     radius = size / (4 * ratio)
     assert found.distance == pytest.approx(np.hypot(1, radius) - radius, rel=5e-3)

@@ -133,7 +133,5 @@ def test_a_base_that_moves_is_refused() -> None:
         _ = asked.reference
     still = np.where([joint in plant.machine.base_joints for joint in plant.machine.joints], 0.0, 1.0)
     standing = replace(asked, motion=Trajectory(motion.t, motion.q * still, motion.qd * still, motion.qdd * still))
-    on_motion, _ = standing.points(plant, plant.model.parameters.nominal, plant.parameters.nominal)
-    assert all(not point.qd[:2].any() for point in on_motion)
-    assert all(len(system.A) for system in standing.plants(plant, on_motion[:1], plant.model.parameters.nominal,
-                                                           plant.parameters.nominal))
+    points = standing.points(plant, plant.model.parameters.nominal, plant.parameters.nominal)
+    assert all(not point.qd[:2].any() and point.system.nstates for point in points if point.on_motion)

@@ -34,3 +34,15 @@ def test_a_perfect_sensor_changes_nothing():
 def test_impossible_sensors_are_refused(options):
     with pytest.raises(ValueError, match=r"accuracy|resolution|distribution"):
         sensor(*options)
+
+
+@pytest.mark.parametrize("channel", ["", "boom", "boom.", "boom.angle"])
+def test_a_channel_that_is_none_is_refused(channel):
+    with pytest.raises(ValueError, match=f"'{channel}' is the name of no channel"):
+        Sensor(channels=("boom.q", channel), accuracy=0.1)
+
+
+@pytest.mark.parametrize("accuracy", ["1e20 bar", "1e300 N", "1e300 N*m"])
+def test_a_size_that_no_machine_has_is_refused_as_such_whatever_units_are_allowed(accuracy):
+    with pytest.raises(ValueError, match="is beyond any machine"):
+        Sensor(channels=("boom.q",), accuracy=accuracy)

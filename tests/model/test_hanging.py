@@ -33,6 +33,35 @@ def test_what_hangs_has_its_centre_of_mass_below_its_pin() -> None:
     assert np.max(below[free, 2]) < -0.3
 
 
+CHAIN = """
+name = "chain"
+orientation = ["90 deg", "0 deg", "0 deg"]
+[[links]]
+name = "arm"
+joint = { type = "revolute", a = "1 m", lower = "10 deg", upper = "80 deg" }
+[[links]]
+name = "upper"
+joint = { type = "revolute", a = "1 m", lower = "-130 deg", upper = "20 deg", passive = true }
+body = { m = "10 kg", com = ["0.5 m", "0 m", "0 m"], inertia_com = ["0.1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "1 kg*m^2", "0 kg*m^2", "1 kg*m^2"] }
+[[links]]
+name = "lower"
+joint = { type = "revolute", a = "1 m", lower = "-90 deg", upper = "90 deg", passive = true }
+body = { m = "30 kg", com = ["0.4 m", "0 m", "0 m"], inertia_com = ["0.1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "1 kg*m^2", "0 kg*m^2", "1 kg*m^2"] }
+[[drives]]
+name = "motor"
+joint = "arm"
+"""  # noqa: E501
+
+
+@pytest.mark.parametrize("start", [(-0.5, -0.3), (-1.0, 1.0), (-2.0, 1.3)])
+def test_the_lower_of_two_links_hangs_down_where_the_upper_one_rests_on_its_stop(start: tuple[float, float]) -> None:
+    """The upper stands at -130 deg of the arm, 80 deg up: it cannot reach -170 deg, at which it would hang."""
+    model = Model(read_machine(CHAIN), actuator_inertia=False)
+    (q,) = Hanging(model).postures(np.array([[np.radians(80), *start]]))
+    assert q[1] == pytest.approx(np.radians(-130), abs=1e-12)
+    assert q[2] == pytest.approx(np.radians(-40), abs=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_limits_are_kept_while_a_passive_joint_swings(seed: int) -> None:

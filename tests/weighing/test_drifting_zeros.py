@@ -75,7 +75,7 @@ def test_a_drift_counts_as_an_error_that_all_samples_share(name: str) -> None:
         sought.own, sought.phi = with_drift.own.mean, phi
         sought.take(i)
     found = sought.solved()
-    own, c = without.own.mean, len(without.own.right)
+    own, c = without.own.mean, len(without.own.mean)
     at = [(i, a) for i in some for a in np.flatnonzero(plain.moving[i])]
     V, J, right = _errors(without, plain, at, phi), np.zeros((len(at), c + 10)), np.zeros(len(at))
     for x, (i, a) in enumerate(at):
@@ -88,11 +88,12 @@ def test_a_drift_counts_as_an_error_that_all_samples_share(name: str) -> None:
     masses = []
     for errors in (V, V + shared):
         information = J.T @ np.linalg.solve(errors, J)
-        information[:c, :c] += without.own.root.T @ without.own.root
+        before = np.linalg.inv(without.own.covariance)
+        information[:c, :c] += before
         prior = load_prior(load, found.mass)
         information[c:, c:] += prior[:, :10].T @ prior[:, :10]
         shown = J.T @ np.linalg.solve(errors, right)
-        shown[:c] += without.own.root.T @ without.own.right
+        shown[:c] += before @ without.own.mean
         masses.append((np.linalg.solve(information, shown)[c], np.sqrt(np.linalg.inv(information)[c, c])))
     (_, too_narrow), (by_hand, std) = masses
     assert found.load.covariance[0, 0] == pytest.approx(std**2, rel=5e-3)

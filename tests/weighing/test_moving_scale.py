@@ -81,16 +81,17 @@ def test_a_jump_passes_the_smoothing_as_all_else_does() -> None:
     assert shown[10] > 0.1
 
 
-def test_what_is_left_of_a_gaussian_has_its_mean_and_covariance() -> None:
+def test_a_gaussian_is_that_of_its_rows_and_a_part_of_it_has_its_mean_and_covariance() -> None:
     rng = np.random.default_rng(2)
-    root = np.triu(rng.standard_normal((5, 5))) + 3 * np.eye(5)
-    whole = Gaussian(root, rng.standard_normal(5))
-    rest = whole.without(slice(3, 5))
-    assert np.allclose(rest.mean, whole.mean[:3])
-    assert np.allclose(rest.covariance, whole.covariance[:3, :3])
-    both = rest.and_independent(np.array([2.0]), np.array([0.5]))
+    root, right = np.triu(rng.standard_normal((5, 5))) + 3 * np.eye(5), rng.standard_normal(5)
+    whole = Gaussian.of_rows(root, right)
+    assert np.allclose(np.linalg.inv(whole.covariance), root.T @ root)
+    assert np.allclose(root @ whole.mean, right)
+    assert all(np.allclose(found, each) for found, each in zip(whole.rows, (root, right), strict=True))
+    both = whole[:3].and_other(Gaussian(np.array([2.0]), np.array([[0.25]])))
     assert np.allclose(both.mean, [*whole.mean[:3], 2.0])
-    assert np.isclose(both.covariance[3, 3], 0.25)
+    assert np.allclose(both.covariance[:3, :3], whole.covariance[:3, :3])
+    assert both.covariance[3].tolist() == [0, 0, 0, 0.25]
 
 
 def test_equations_predict_what_inverse_dynamics_does_on_a_slope(made: Scale, lines: Equations) -> None:
@@ -211,7 +212,7 @@ def test_smoothed_forces_are_predicted_in_fast_motion(made: Scale, machine: Simu
 def test_the_recursion_gives_what_the_whole_block_gives(made: Scale, lines: Equations) -> None:
     """Generalised least squares of all rows at once, with the full covariance of their errors."""
     count, some = 12, range(60, 75)
-    sought, (c, mass) = Recursion(lines, made.own, 800.0), (len(made.own.right), 800.0)
+    sought, (c, mass) = Recursion(lines, made.own, 800.0), (len(made.own.mean), 800.0)
     own, phi = made.own.mean, expected(LOAD, mass)
     for i in some:
         sought.own, sought.phi = own, phi
@@ -233,10 +234,11 @@ def test_the_recursion_gives_what_the_whole_block_gives(made: Scale, lines: Equa
     # the priors of the load are made for the mass that is found
     prior = load_prior(LOAD, found.mass)
     information = J.T @ np.linalg.solve(V, J)
-    information[:c, :c] += made.own.root.T @ made.own.root
+    before = np.linalg.inv(made.own.covariance)
+    information[:c, :c] += before
     information[c:, c:] += prior[:, :10].T @ prior[:, :10]
     shown = J.T @ np.linalg.solve(V, right)
-    shown[:c] += made.own.root.T @ made.own.right
+    shown[:c] += before @ made.own.mean
     covariance = np.linalg.inv(information)[c:, c:]
     assert np.all(np.abs(np.linalg.solve(information, shown)[c:] - found.phi) < 1e-3 * np.sqrt(np.diag(covariance)))
     assert np.allclose(covariance, found.load.covariance, rtol=2e-3, atol=1e-4)
@@ -379,6 +381,19 @@ def test_still_machines_do_not_weigh(made: Scale, machine: SimulatedMachine) -> 
     late = [each for each in weigh(made, log).readings if each.sample * 0.2 > 12.5]
     assert len(late) > 40
     assert all(each.status in (Weighable.STANDSTILL, Weighable.UNCERTAIN, Weighable.CHANGING) for each in late)
+
+
+@pytest.mark.parametrize("x", [-1.0, 0.0])
+def test_loads_far_from_where_they_are_expected_make_the_answer_suspect(made: Scale, machine: SimulatedMachine,
+                                                                        x: float) -> None:
+    """Not one load is weighed, be it that readings contradict the model or that the load seems to change for good."""
+    motion = ho.random_trajectory(machine.model, duration=30.0, rate=50.0, seed=6)
+    log = machine.log(Session(motion, pick_up(motion.t, MASS, 12.0, 1.5), CENTRE, (0.04, -0.06), 35e3), 6)
+    found = weigh(replace(made, load=replace(LOAD, centre=(x, 0.0, 0.0))), log)
+    assert found.loads
+    assert not any(each.ok for each in found.loads)
+    assert found.status == "suspect"
+    assert "--centre" in found.contradictions[0].remedy
 
 
 @pytest.mark.parametrize("fault", ["swapped", "sign", "stale", "psi"])

@@ -30,7 +30,8 @@ from hydroopt.estimation.dynamic.misfit.naming import Misfit
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added
-from hydroopt.estimation.inference.identifiability import FULL
+from hydroopt.estimation.inference.band_variances import NORMAL
+from hydroopt.estimation.inference.identifiability import DETERMINED, FULL
 from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.logs.log import Log
@@ -103,10 +104,6 @@ def combined_problem(machine: GivenMachine, logs: Log | Sequence[Log], validatio
     return CombinedProblem(identification_problem(machine, logs, validation, smoothing=smoothing), smoothing)
 
 
-DETERMINED = 0.5
-"""A number counts as identified whose standard deviation is less than this part of that of the machine file."""
-NORMAL = 1.959964
-"""Half of a 95 % interval in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from itertools import chain
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from hydroopt.errors import MachineError, ProblemError
 from hydroopt.estimation.dynamic.identification import Identification
+from hydroopt.estimation.inference.certificate import AT_BOUND
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.spatial.inertia import Array
-
-ROUNDING = 1e-6
-"""How far beyond a bound or a statement a solver may end, in the scale of the numbers concerned: it works in that."""
-_made: WeakKeyDictionary[Identification, Machine] = WeakKeyDictionary()
-"""Machines of estimates that still live: several checks ask for the same one."""
 
 
 def calibrated_machine(estimate: Identification) -> Machine:
@@ -31,8 +26,6 @@ def calibrated_machine(estimate: Identification) -> Machine:
         ProblemError: a body is not physically consistent, a friction is negative or beyond its bounds, or a statement
             of the file does not hold, so that no machine can have these numbers.
     """
-    if estimate in _made:
-        return _made[estimate]
     problem = estimate.problem
     machine, names = problem.model.machine, problem.parameters.names
     where = f"{machine.name} by {estimate.algorithm}"
@@ -41,13 +34,13 @@ def calibrated_machine(estimate: Identification) -> Machine:
                            remedy="keep the parameters with the model, or identify without the terms")
     impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
     bounded = np.clip(estimate.psi, problem.parameters.lower, problem.parameters.upper)
-    rounded = abs(bounded - estimate.psi) <= ROUNDING * problem.parameters.scale
+    rounded = abs(bounded - estimate.psi) <= AT_BOUND * problem.parameters.scale
     psi = np.where(rounded, bounded, estimate.psi)
     below = [name for name, value, low in zip(names, psi, problem.parameters.lower, strict=True) if value < low]
     if impossible or below:
         raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist",
                            where=where, remedy="identify with method 'sdp'")
-    broken = [condition.name for condition in problem.conditions if condition.margin(estimate.psi) < -ROUNDING]
+    broken = [condition.name for condition in problem.conditions if condition.margin(estimate.psi) < -AT_BOUND]
     if broken:
         raise ProblemError(f"{'; '.join(dict.fromkeys(broken))}: this does not hold",
                            where=where, remedy="identify with method 'sdp'")
@@ -67,12 +60,10 @@ def calibrated_machine(estimate: Identification) -> Machine:
                 update={"lower": before.lower, "upper": before.upper})
     try:
         left_out = dynamic_parameters.bodies(machine).keys() - problem.parameters.bodies.keys()
-        made = (machine.without_bodies(left_out) if left_out else machine).with_values(values, notes)
+        return (machine.without_bodies(left_out) if left_out else machine).with_values(values, notes)
     except MachineError as error:  # limits without bound or constraint, such as seals as wide as the rod side
         raise ProblemError(error.what, where=where,
                            remedy="state a confidence or bounds of it, or identify with method 'sdp'") from None
-    _made[estimate] = made
-    return made
 
 
 def _note(estimate: Identification, span: slice, confidence: Array, source: str) -> Note:

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis, KeptRows, column_bases
-from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
     FEW_MOVING,
@@ -47,6 +45,8 @@ from hydroopt.spatial.inertia import Array
 
 STARTING = 1e-9
 """Speed [rad/s or m/s] at which dry friction is that of a joint that just begins to move."""
+ROWS = 1024
+"""Samples whose rows are computed together."""
 SHOWN = 500_000
 """Samples of a log beyond which figures and diagnostics look at a block of it."""
 
@@ -151,15 +151,6 @@ class Experiment:
             reused, force = self.equations(psi, rows, reused)
             yield rows, reused[0], force
 
-    def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None, weights: Array | None = None) -> None:
-        """Add the equations, linearised at `psi`; `weights` (N, n) multiply squared residuals."""
-        for rows, K, force in self.chunks(psi):
-            if weights is None:
-                triangles.fold(K, force, self.known[rows])
-            else:
-                root = np.sqrt(weights[rows])
-                triangles.fold(K * root[:, :, None], force * root, self.known[rows])
-
     def _lagging(self, lags: Array) -> Experiment:
         """With forces that are predicted with the lags (r,) [s] of their readings.
 
@@ -201,32 +192,24 @@ class Experiment:
             release()
             yield slice(*edge)
 
-    def fold_block(self, bands: ActuatorBands, block: slice, middle: float, psi: Array | None = None,
-                   rows: Sequence[Array] | None = None) -> None:
-        """Add a block by frequency; `middle` is the row at which the second half of the log begins.
-
-        `rows` are those that the bands take, which are written over, if they are known.
-        """
-        if rows is None:
-            (K, *_), force = self.equations(psi, block)
-            rows = [basis.rows(K, force, i) for i, basis in enumerate(bands.bases)]
-        t = self.motion.t[block]
-        step = usual_step(t) or 1.0
+    def _fold(self, bands: ActuatorBands, block: slice, middle: float, psi: Array | None) -> None:
+        """Add a block by frequency; `middle` is the row at which the second half of the log begins."""
+        (K, *_), force = self.equations(psi, block)
+        step = usual_step(self.motion.t[block]) or 1.0
         if bands.noisy.size:
             bands.noise += self._noise(block, step, bands.noisy, psi)
         if self.calm is not None:
             held = self.inside[block] & self.calm[block].T
             spans = [(i, first, end) for i, marks in enumerate(held) for first, end in _spans(marks)]
-            dry = has_dry(self.model) if spans else np.zeros(0, dtype=bool)
+            dry = has_dry(self.model)
             for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
-                basis, sums = bands.bases[i], rows[i][:, first:end].sum(axis=1)
-                total = np.append(basis.spread(sums[:-1]), sums[-1])
-                total[:-1][dry[basis.own]] = 0.0
+                own, here = bands.own[i], slice(first, end)
+                total = np.append(np.where(dry[own], 0.0, K[here, i, own].sum(axis=0)), force[here, i].sum())
                 begin, finish = block.start + first, block.start + end - 1
                 bands.holds.append(i, Hold(
                     int(self.log.sample[begin]), int(self.log.sample[finish]), float(self.motion.t[begin]),
                     float(self.motion.t[finish]), end - first, total, lever * dry), step)
-        bands.fold(rows, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
+        bands.fold(K, force, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
 
     def _noise(self, block: slice, step: float, free: NDArray[np.intp], psi: Array | None) -> Array:
         """What noise of the angles is expected to add to KᵀK (f, p, p) of the balances `free` in a block."""
@@ -263,23 +246,12 @@ class Experiment:
         return np.asarray(np.abs(state.equations(psi)[0][0][np.arange(len(spans)), actuators]))
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
-        """The equations, linearised at `psi` (p,), by frequency.
-
-        Of a long log half of the columns are folded, from which the others follow.
-        """
-        bases, kept = [ColumnBasis.whole(np.flatnonzero(row)) for row in self.pattern], None
-        if len(self.log.spans) > 1 and self.model.linear and self.added is None:
-            bases = column_bases(self.model)
-            kept = KeptRows(self.model, [basis.kept for basis in bases])
-        bands, memory = ActuatorBands(self.model.parameters, bases, undriven(self.model.machine.balances)), None
+        """The equations, linearised at `psi` (p,), by frequency."""
+        bands = ActuatorBands(self.model.parameters, self.pattern, undriven(self.model.machine.balances))
         middle = float(np.mean(self.log.rows))
         for block in self.blocks():
-            rows = None
-            if kept is not None:
-                memory = memory if memory is not None and len(memory[0]) == block.stop - block.start else None
-                rows, memory = kept(self.inputs(block), self.force[block], memory)
-            self.fold_block(bands, block, middle, psi, rows)
-        return bands.expanded()
+            self._fold(bands, block, middle, psi)
+        return bands
 
     @property
     def notes(self) -> tuple[str, ...]:

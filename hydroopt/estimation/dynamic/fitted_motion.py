@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
+from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.estimation.inference.whitening import whitening
 from hydroopt.estimation.motion.banded import Bordered, Rows
 from hydroopt.estimation.motion.paths import Spline, Support, motion
@@ -41,8 +42,6 @@ KNOTS_PER_PERIOD = 2.0
 STEPS = 30
 CONVERGED = 1e-4
 """The fit has converged when a step moves the parameters by less than this part of their standard deviations."""
-SINGULAR = 1e-12
-"""Size of a diagonal entry, relative to its column, below which rows do not determine a number."""
 
 
 class Linear(NamedTuple):
@@ -103,7 +102,7 @@ class NumbersGiven:
             IdentifiabilityError: they do not determine all numbers.
         """
         k = len(names)
-        weak = np.abs(np.diag(rows)) <= SINGULAR * np.max(np.abs(rows[:, :k]), axis=0, initial=0.0)
+        weak = np.abs(np.diag(rows)) <= ROUNDING_TOLERANCE * np.max(np.abs(rows[:, :k]), axis=0, initial=0.0)
         if np.any(weak):
             raise IdentifiabilityError(f"nothing determines {', '.join(np.array(names)[weak])}", where=where,
                                        remedy="state how far it may be off, or fix it")

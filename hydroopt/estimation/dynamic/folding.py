@@ -1,4 +1,4 @@
-"""Rows of a regressor folded into small triangles: of each actuator, and of bands of rows."""
+"""QR factors of rows that come one block after the other: small triangles, by bands of rows."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.spatial.inertia import Array
 
-ROWS = 1024
-"""Samples whose rows are computed together."""
 PANEL = 8
 """Columns that LAPACK reflects together: with as few, twice as fast as `numpy.linalg.qr` for a few dozen columns."""
 
@@ -32,14 +29,6 @@ class Triangles:
         self.columns = columns
         self._rows = [np.zeros((0, columns))] * bands
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @property
-    def empty(self) -> bool:
-        """Whether nothing was folded."""
-        return not any(map(len, self._rows))
-
     def __getitem__(self, band: int) -> Array:
         """Rows (·, k) of a band."""
         return self._rows[band]
@@ -57,72 +46,9 @@ class Triangles:
         reflected, *_ = lapack.dgeqrt(min(PANEL, self.columns), rows, overwrite_a=True)
         return np.triu(reflected[: self.columns])
 
-    def add(self, blocks: Sequence[Array] | Triangles) -> None:
+    def add(self, blocks: Sequence[Array]) -> None:
         """Add rows (·, k) of each band."""
-        some = [blocks[band] for band in range(len(blocks))]
-        self.fold(np.concatenate(some), np.cumsum([0, *map(len, some)]))
-
-    def copy(self) -> Triangles:
-        """The same, to which others can be added."""
-        made = Triangles(0, self.columns)
-        made._rows = self._rows.copy()
-        return made
-
-
-class ActuatorTriangles:
-    """Triangles T_i with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` over the rows of actuator i.
-
-    `folded` are rows with the same sums of squares, in those columns of [K_i, f_i] that the `bases` keep; `samples`
-    (n,) counts the rows, `forces` (n,) adds up f_i.
-    """
-
-    def __init__(self, bases: Sequence[ColumnBasis], parameters: int) -> None:
-        n = len(bases)
-        self.bases = bases
-        self.folded = [Triangles(1, len(basis.kept) + 1) for basis in bases]
-        self.samples = np.zeros(n)
-        self.parameters, self.forces = parameters, np.zeros(n)
-
-    @classmethod
-    def of_rows(cls, bases: Sequence[ColumnBasis], parameters: int, rows: Sequence[Array], samples: Array,
-                forces: Array) -> ActuatorTriangles:
-        """Those of rows (m, ·) in the columns of [K, f] that bases keep, with `samples` (n,) and `forces` (n,)."""
-        made = cls(bases, parameters)
-        for folded, block in zip(made.folded, rows, strict=True):
-            folded.add([block])
-        made.samples, made.forces = samples, forces
-        return made
-
-    def fold(self, K: Array, force: Array, used: NDArray[np.bool_]) -> None:
-        """Add rows K (N, n, p) with forces (N, n) where they are `used` (N, n)."""
-        for i, basis in enumerate(self.bases):
-            rows = np.flatnonzero(used[:, i])
-            if not len(rows):
-                continue
-            self.fold_rows(i, basis.rows(K, force, i).T, rows)
-
-    def fold_rows(self, actuator: int, rows: Array, places: NDArray[np.intp]) -> None:
-        """Add those at `places` of the rows (N, k+1) of [K, f] of an actuator in the columns that its basis keeps."""
-        self.folded[actuator].fold(rows[places], [0, len(places)])
-        self.samples[actuator] += len(places)
-        self.forces[actuator] += np.sum(rows[places, -1])
-
-    def add(self, other: ActuatorTriangles) -> None:
-        """Add the triangles of another with the same bases."""
-        for one, more in zip(self.folded, other.folded, strict=True):
-            one.add(more)
-        self.samples += other.samples
-        self.forces += other.forces
-
-    @property
-    def full(self) -> Array:
-        """Triangles (n, p+1, p+1) of all columns."""
-        p = self.parameters
-        out = np.zeros((len(self.bases), p + 1, p + 1))
-        for each, basis, folded in zip(out, self.bases, self.folded, strict=True):
-            rows = triangle(folded[0] @ basis.expander)
-            each[np.ix_(basis.columns[: len(rows)], basis.columns)] = rows
-        return out
+        self.fold(np.concatenate(blocks), np.cumsum([0, *map(len, blocks)]))
 
 
 def triangle(*blocks: Array) -> Array:

@@ -77,12 +77,6 @@ class Holds:
             for hold in holds:
                 self.append(i, hold, step)
 
-    def copy(self) -> Holds:
-        """The same, to which others can be added."""
-        made = Holds(self.own)
-        made.add(self)
-        return made
-
     @property
     def lasting(self) -> list[list[Hold]]:
         """Those of each actuator that last long enough."""

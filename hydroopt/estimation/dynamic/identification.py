@@ -122,7 +122,7 @@ class Identification:
     @cached_property
     def left_out(self) -> LeftOut | None:
         """Errors of forces in blocks of the logs that are predicted without them, and in held-out logs."""
-        return left_out(self)
+        return left_out(self.problem, self.weighted_residuals, self.algorithm, self.psi, self.tolerance)
 
     @property
     def uses_priors(self) -> bool:

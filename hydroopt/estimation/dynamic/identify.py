@@ -26,6 +26,7 @@ from hydroopt.estimation.dynamic.weighted_residuals import (
 from hydroopt.estimation.inference import convex_program, identifiability
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
+from hydroopt.estimation.inference.band_variances import NORMAL
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
 from hydroopt.estimation.inference.prior_conflict import Refuted, Statement, refuted
@@ -234,7 +235,7 @@ def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability
         source = Intervals.BIASED
         value = np.where(np.array(from_data.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
-    ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
+    ci = value[:, None] + NORMAL * std[:, None] * np.array([-1, 1])
     estimate = _assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0)
     return replace(estimate, tolerance=tolerance, ridge=ridge, ridge_strength=strength)
 

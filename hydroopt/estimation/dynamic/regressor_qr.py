@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
+from hydroopt.estimation.dynamic.folding import Triangles, split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.inference.identifiability import analyse
 from hydroopt.estimation.inference.whitening import whitened
@@ -26,6 +25,16 @@ class CompressedRegressor:
     triangles: Array
     samples: Array
 
+    @classmethod
+    def of(cls, rows: Sequence[Array], columns: Sequence[NDArray[np.intp]], p: int,
+           samples: Array) -> CompressedRegressor:
+        """From rows (·, k) of each actuator in some columns (k,) of [K, f]."""
+        triangles = np.zeros((len(rows), p + 1, p + 1))
+        for made, some, own in zip(triangles, rows, columns, strict=True):
+            R = triangle(some)
+            made[np.ix_(own[: len(R)], own)] = R
+        return cls(triangles, samples)
+
     def squares(self, psi: Array) -> Array:
         """Sum of squared residuals of each actuator (n,)."""
         return np.asarray(np.sum((self.triangles @ np.append(psi, -1.0)) ** 2, axis=1))
@@ -38,27 +47,31 @@ class CompressedRegressor:
 def compress(experiments: Sequence[Experiment], weights: Sequence[Array] | None = None, *,
              psi: Array | None = None) -> CompressedRegressor:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
-    folded = ActuatorTriangles([ColumnBasis.whole(np.flatnonzero(row)) for row in experiments[0].pattern],
-                               len(experiments[0].model.parameters))
-    for k, data in enumerate(experiments):
-        data.fold_into(folded, psi, None if weights is None else weights[k])
-    return CompressedRegressor(folded.full, folded.samples)
+    own = [np.append(np.flatnonzero(row), -1) for row in experiments[0].pattern]
+    folded, samples = [Triangles(1, len(columns)) for columns in own], np.zeros(len(own))
+    for which, rows, block in _blocks(experiments, weights, psi):
+        known = experiments[which].known[rows]
+        for i, columns in enumerate(own):
+            taken = block[known[:, i], i][:, columns]
+            folded[i].fold(taken, [0, len(taken)])
+        samples += np.count_nonzero(known, axis=0)
+    return CompressedRegressor.of([rows[0] for rows in folded], own, experiments[0].pattern.shape[1], samples)
 
 
-def compressed(folded: Sequence[ActuatorBands]) -> CompressedRegressor:
+def compressed(folded: ActuatorBands) -> CompressedRegressor:
     """What experiments folded by frequency say together, whatever the frequency."""
-    whole = folded[0].triangles
-    for more in folded[1:]:
-        whole.add(more.triangles)
-    return CompressedRegressor(whole.full, whole.samples)
+    channels, p = folded.channels(), len(folded.parameters)
+    return CompressedRegressor.of([one.stacked for one in channels], [np.append(one.columns, -1) for one in channels],
+                                  p, folded.samples)
 
 
-def _chunks(experiments: Sequence[Experiment],
-            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-    """The chunks of several experiments, each with the experiment's index."""
+def _blocks(experiments: Sequence[Experiment], weights: Sequence[Array] | None,
+            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array]]:
+    """Rows [K, f] (m, n, p+1) of several experiments, weighted, each with the experiment's index and the samples."""
     for which, data in enumerate(experiments):
         for rows, K, force in data.chunks(psi):
-            yield which, rows, K, force
+            block = np.concatenate([K, force[:, :, None]], axis=2)
+            yield which, rows, block if weights is None else block * np.sqrt(weights[which][rows])[:, :, None]
 
 
 def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
@@ -74,10 +87,7 @@ def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance
     """
     p = len(model.parameters)
     R = np.zeros((p + 1, p + 1))
-    for which, rows, K, force in _chunks(experiments, psi):
-        block = np.concatenate([K, force[:, :, None]], axis=2)
-        if weights is not None:
-            block = block * np.sqrt(weights[which][rows])[:, :, None]
+    for which, rows, block in _blocks(experiments, weights, psi):
         R = triangle(R, whitened(block, experiments[which].known[rows], covariance))
     return split(R)
 
@@ -99,12 +109,12 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
     """
     p = len(model.parameters)
     R = np.zeros((2 * p + 1, 2 * p + 1))
-    for which, rows, K, force in _chunks(experiments, psi):
+    for which, rows, block in _blocks(experiments, weights, psi):
         Z = model.over(model.regressor, *replace(experiments[which], motion=instruments[which]).inputs(rows))[0]
-        block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
         if weights is not None:
-            block = block * np.sqrt(weights[which][rows])[:, :, None]
-        R = triangle(R, block[experiments[which].known[rows]])
+            Z = Z * np.sqrt(weights[which][rows])[:, :, None]
+        white = np.concatenate([Z, block], axis=2) / sigma[:, None]
+        R = triangle(R, white[experiments[which].known[rows]])
     # directions that the instruments do not excite would add the noise of K
     excited = list(analyse(R[:p, :p], model.parameters.names).basis)
     order = [*excited, *range(p, 2 * p + 1)]

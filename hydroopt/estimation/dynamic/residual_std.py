@@ -2,43 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
 import numpy as np
 
+from hydroopt.estimation.dynamic.force_problem import ForceProblem
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
+from hydroopt.estimation.dynamic.holds import ROUNDING
 from hydroopt.estimation.dynamic.regressor_qr import CompressedRegressor
 from hydroopt.estimation.inference import least_squares
-from hydroopt.estimation.inference.problem import InferenceProblem
-from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 
-class ForceProblem(InferenceProblem, Protocol):
-    """The part of a problem that the size of its residuals needs; attributes as of `IdentificationProblem`."""
-
-    @property
-    def model(self) -> Model:
-        """What predicts the forces."""
-
-    @property
-    def force_std(self) -> Array:
-        """(n,) standard deviation of each actuator's force reading."""
-
-
-def noise_of_angles(problem: ForceProblem, folded: Sequence[ActuatorBands], data: CompressedRegressor) -> Array:
+def noise_of_angles(problem: ForceProblem, folded: ActuatorBands) -> Array:
     """Standard deviation (n,) that noise of angles gives the residuals of joints that nothing drives, 0 elsewhere.
 
     It is that of the nominal parameters. Such residuals 0 − K·ψ vanish with ψ, so that those of a fit may say nothing.
     """
-    squares, psi = np.zeros(len(data.samples)), problem.parameters.nominal
-    for one in folded:
-        squares[one.noisy] += np.einsum("i,fij,j->f", psi, one.noise, psi)
-    return np.asarray(np.sqrt(squares / np.maximum(data.samples, 1.0)))
+    squares, psi = np.zeros(len(folded.samples)), problem.parameters.nominal
+    squares[folded.noisy] = np.einsum("i,fij,j->f", psi, folded.noise, psi)
+    return np.asarray(np.sqrt(squares / np.maximum(folded.samples, 1.0)))
 
 
-def residual_std(problem: ForceProblem, data: CompressedRegressor, tolerance: float, of_angles: Array) -> Array:
+def residual_std(problem: ForceProblem, data: CompressedRegressor, tolerance: float,
+                 of_angles: Array) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit.
 
     None is below that by noise of angles.
@@ -67,4 +52,4 @@ def rms_force(problem: ForceProblem, data: CompressedRegressor) -> Array:
 
 def smallest(size: Array) -> Array:
     """Standard deviation (r,) of rounding errors of forces of this size (r,)."""
-    return 1e-11 * np.maximum(size, 1e-12)
+    return ROUNDING * np.maximum(size, 1e-12)

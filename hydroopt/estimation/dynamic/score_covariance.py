@@ -24,7 +24,7 @@ from hydroopt.estimation.inference.band_variances import (
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, ROUNDING_TOLERANCE
 from hydroopt.estimation.inference.least_squares import orthonormal, without
 from hydroopt.estimation.inference.mixed_model import UNEQUAL, projected, variance_components
-from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.problem import StatedProblem
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
@@ -95,12 +95,10 @@ class InMotion:
         least: (n,) standard deviation below which no frequency's is.
     """
 
-    def __init__(self, problem: InferenceProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array) -> None:
+    def __init__(self, problem: StatedProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array) -> None:
         self.parameters, self.prior = problem.parameters, problem.prior_rows
         self.logs, self.sigma, self.least = logs, sigma, least
-        self.together = logs[0].copy()
-        for more in logs[1:]:
-            self.together.add(more)
+        self.together = ActuatorBands.together(logs)
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -124,11 +122,8 @@ class InMotion:
 
     def beside(self, channels: Sequence[Channel], sigma: Array, least: Array) -> tuple[Spectrum, ...]:
         """Spectra of all residuals, those of other channels with arguments alike after those of the actuators."""
-        scale = self.parameters.scale
-        if not any(np.any(one.counts) for one in channels):  # then they change nothing
-            return *self.spectra, *band_variances(channels, sigma, self.prior, scale, least**2)
-        return band_variances([*self.channels, *channels], np.append(self.sigma, sigma), self.prior, scale,
-                              np.append(self.least, least) ** 2, self.noise)
+        return band_variances([*self.channels, *channels], np.append(self.sigma, sigma), self.prior,
+                              self.parameters.scale, np.append(self.least, least) ** 2, self.noise)
 
     def split_halves(self) -> tuple[SplitHalf, ...]:
         """The tests of no difference between the halves of each log.

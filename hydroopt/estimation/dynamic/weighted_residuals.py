@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, Protocol, Self, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, LogError
 from hydroopt.estimation.dynamic import fitted_motion
-from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.fitted_motion import FittedMotion, NumbersBeside
+from hydroopt.estimation.dynamic.fitted_motion import FittedMotion
 from hydroopt.estimation.dynamic.folding import split, triangle
+from hydroopt.estimation.dynamic.force_problem import HUBER, ForceProblem
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.dynamic.regressor_qr import (
@@ -22,65 +22,18 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     compress_jointly,
     compressed,
 )
-from hydroopt.estimation.dynamic.residual_std import (
-    ForceProblem,
-    noise_of_angles,
-    residual_std,
-    rms_force,
-    smallest,
-)
+from hydroopt.estimation.dynamic.residual_std import noise_of_angles, residual_std, rms_force, smallest
 from hydroopt.estimation.dynamic.score_covariance import BetweenLogs, InMotion, SplitHalf, score_covariance
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
 from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
-from hydroopt.logs.smoothing import Motion
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
 
-Loss = Literal["squares", "huber", "student_t"]
-HUBER = 1.345
-"""Residual, in its standard deviations, beyond which Huber's loss is linear."""
-LOSSES: Mapping[Loss, str] = {
-    "squares": "Σ (e/σ)²", "huber": f"Huber's loss of e/σ, linear beyond {HUBER:g}",
-    "student_t": "Student's t loss of e/σ with 4 degrees of freedom"}
-"""The losses as terms of the objective."""
+Problem = TypeVar("Problem", bound=ForceProblem)
 MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
-
-
-class ResidualProblem(ForceProblem, Protocol):
-    """The part of a problem that weighting its residuals needs; attributes as of `IdentificationProblem`."""
-
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """Training data."""
-
-    @property
-    def loss(self) -> Loss:
-        """Of the residuals."""
-
-    @property
-    def correlated(self) -> bool:
-        """Whether the actuators' residuals may correlate."""
-
-    @property
-    def fitted_motion(self) -> bool:
-        """Whether motion and parameters are fitted together."""
-
-    @property
-    def beside(self) -> tuple[NumbersBeside, ...]:
-        """Numbers that are fitted along with motion and parameters, for each experiment; none if they are not."""
-
-    @property
-    def instruments(self) -> tuple[Motion, ...]:
-        """A second motion of each experiment, if any."""
-
-    def with_experiments(self, experiments: Sequence[Experiment], beside: Sequence[NumbersBeside] = ()) -> Self:
-        """The same problem with other training data, and other numbers fitted along, if there are any."""
-
-
-Problem = TypeVar("Problem", bound=ResidualProblem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,16 +164,14 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     model, experiments = problem.model, problem.experiments
     point = problem.parameters.nominal if point is None else point
     folded = [data.bands(point) for data in experiments]
-    data = compressed(folded)
+    together = ActuatorBands.together(folded)
+    data, holds = compressed(together), together.holds
     _refuse_impossible_postures(problem, data)
-    holds = folded[0].holds.copy()
-    for more in folded[1:]:
-        holds.add(more.holds)
     if not np.any(data.samples) and np.max(holds.counts) < 2:
         names = ", ".join(e.log.path or e.log.name for e in experiments)
         raise IdentifiabilityError("no joint moves in the training logs, and they hold a single posture", where=names,
                                    remedy="record a log in which the joints move, or rest in several postures")
-    of_angles = noise_of_angles(problem, folded, data)
+    of_angles = noise_of_angles(problem, together)
     sigma, weights = residual_std(problem, data, tolerance, of_angles), None
     if problem.loss != "squares":
         data, sigma, weights, folded = _robust(problem, data, folded, sigma, point, of_angles)
@@ -301,7 +252,7 @@ def _triangle(R: Array, r: Array, rest: float) -> Array:
     return np.block([[R, r[:, None]], [np.zeros((1, R.shape[1])), np.full((1, 1), np.sqrt(rest))]])
 
 
-def _stated_friction(problem: ResidualProblem, data: CompressedRegressor, holds: Holds) -> tuple[str, ...]:
+def _stated_friction(problem: ForceProblem, data: CompressedRegressor, holds: Holds) -> tuple[str, ...]:
     """Balances with dry friction at rest that no sample in motion shows, so that only the machine file tells it."""
     shown = np.any(data.triangles[:, :, :-1] != 0, axis=(0, 1))
     levers = holds.levers(len(shown))
@@ -309,7 +260,7 @@ def _stated_friction(problem: ResidualProblem, data: CompressedRegressor, holds:
                  if np.any(lever[:, ~shown] != 0))
 
 
-def _second_moments(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, priors: bool,
+def _second_moments(problem: ForceProblem, data: CompressedRegressor, sigma: Array, priors: bool,
                     stated: Sequence[str]) -> list[Array]:
     """Expectation (p, p) of ψ·ψᵀ for each balance, by the samples in motion and, where they count, the priors."""
     def expected(*, priors: bool) -> Array:
@@ -341,7 +292,7 @@ def _covariance(correlation: Array, sigma: Array) -> Array:
     return correlation * np.outer(sigma, sigma)
 
 
-def _refuse_impossible_postures(problem: ResidualProblem, data: CompressedRegressor) -> None:
+def _refuse_impossible_postures(problem: ForceProblem, data: CompressedRegressor) -> None:
     """Refuse logs with samples for which the model has no number, with the joints that may be read wrongly.
 
     Raises:
@@ -358,11 +309,11 @@ def _refuse_impossible_postures(problem: ResidualProblem, data: CompressedRegres
                           "in the machine file")
 
 
-def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: float) -> Array:
+def _least_squares(problem: ForceProblem, R: Array, r: Array, tolerance: float) -> Array:
     return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
 
 
-def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,
+def _robust(problem: ForceProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,
             point: Array, of_angles: Array) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
@@ -397,17 +348,17 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
     return data, sigma, weights, bands
 
 
-def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
+def _residuals(problem: ForceProblem, psi: Array) -> list[Array]:
     return [e.force - e.predicted(psi) for e in problem.experiments]
 
 
-def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
+def _taken(problem: ForceProblem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals, NaN where they are not used."""
     return [np.where(e.inside[:, None] & e.known, res, np.nan)
             for res, e in zip(residuals, problem.experiments, strict=True)]
 
 
-def _correlation(problem: ResidualProblem, psi: Array) -> Array:
+def _correlation(problem: ForceProblem, psi: Array) -> Array:
     """Correlation (n, n) of the actuators' residuals with one another in one sample.
 
     Zero where fewer than 100 samples have both.

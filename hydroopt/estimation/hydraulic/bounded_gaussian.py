@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri_exp
+from scipy.stats import truncnorm
 
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -91,7 +91,7 @@ class BoundedGaussian:
         middle = np.where(self.at_bound, self.theta - inner @ self.gradient, self.theta)
         low, high = (parameters.lower - middle) / std, (parameters.upper - middle) / std
         part = np.where(self.at_bound, np.where(self.gradient > 0, 0.0, 0.05), 0.025)
-        interval = middle[:, None] + std[:, None] * _quantile(
+        interval = middle[:, None] + std[:, None] * truncnorm.ppf(
             np.column_stack([part, part + 0.95]), low[:, None], high[:, None])
         return np.where(np.isfinite(std)[:, None], interval, np.nan)
 
@@ -115,12 +115,3 @@ class BoundedGaussian:
         k = self.parameters.index(name)
         sizes = [len(each.members) for each in self.weak_directions if k in each.members]
         return "full" if not sizes else "none" if min(sizes) == 1 else "combination"
-
-
-def _quantile(share: Array, low: Array, high: Array) -> Array:
-    """Quantiles of a standard normal distribution within bounds, also where these lie far out in its tail."""
-    turned = low > 0  # the lower tail has more digits
-    below, above = np.where(turned, -low, low), np.where(turned, -high, high)
-    with np.errstate(divide="ignore"):
-        found = ndtri_exp(np.logaddexp(log_ndtr(below) + np.log1p(-share), log_ndtr(above) + np.log(share)))
-    return np.asarray(np.where(turned, -found, found))

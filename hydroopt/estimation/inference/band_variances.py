@@ -24,6 +24,7 @@ from scipy.linalg import cho_factor, cho_solve, solveh_banded
 from scipy.special import fdtrc, stdtrit
 
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
+from hydroopt.estimation.inference.least_squares import ROUNDING
 from hydroopt.spatial.inertia import Array
 
 ROUNDS = 6
@@ -32,8 +33,6 @@ STEP = 1.0
 """Standard deviation of the change of log S from one band to the next: a spectrum like f² or f⁻² is within one."""
 LEAST = 1e-3
 """Part of a band's freedom that a fit leaves at least."""
-FAINT = 1e-10
-"""Singular value, relative to the largest, below which a direction is rounding error and has no variance of its own."""
 MANY = 1e9
 """Degrees of freedom that are as good as infinitely many."""
 FEWEST = 0.02
@@ -217,7 +216,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
     R = np.sqrt(w) * channel.triangle
     left, singular, axes = np.linalg.svd(R[: len(own), :-1] * own, full_matrices=False)
     value = left.T @ R[: len(own), -1]
-    sound = singular > FAINT * np.max(singular, initial=0.0)  # of a channel without columns: none
+    sound = singular > ROUNDING * np.max(singular, initial=0.0)  # of a channel without columns: none
     onto = own[:, None] * axes[sound].T / singular[sound]
     parts = [w**2 * variance * _gram(rows[:, :-1] @ onto)
              for variance, rows in zip(spectrum.variance, channel.rows, strict=True)]

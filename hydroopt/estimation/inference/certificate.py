@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from hydroopt.errors import SolverError
 
+AT_BOUND = 1e-6
+"""How far beyond a bound or a statement a solver may end, in the scale of the numbers concerned: it works in that."""
+
 
 @dataclass(frozen=True)
 class Certificate:

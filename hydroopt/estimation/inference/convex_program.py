@@ -18,7 +18,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import clarabel
 from hydroopt.estimation.inference.conditions import MARGIN, SYMMETRIC, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.problem import InferenceProblem, names_of
+from hydroopt.estimation.inference.problem import StatedProblem, names_of
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
 from hydroopt.spatial.inertia import Array
 
@@ -100,7 +100,7 @@ class ConvexProgram:
         return f"ConvexProgram({len(self.variables)} parameters, {len(self.constraints)} constraints)"
 
 
-def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
+def semidefinite_program(problem: StatedProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
     """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
     Raises:
@@ -121,7 +121,7 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
     return Optimum(psi, tuple(name for name in names_of(problem, consistent=consistent) if name in active))
 
 
-def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Array, *, consistent: bool,
+def inner_point(problem: StatedProblem, posterior: GaussianPosterior, z: Array, *, consistent: bool,
                 margin: float) -> Array | None:
     """The point (k,) nearest to z that fulfils every inequality and matrix with a margin; None if none is found.
 
@@ -172,7 +172,7 @@ def nearest_point(target: Array, within: Sequence[Cone], where: str) -> tuple[Ar
                                         if np.max(size, initial=0.0) > ACTIVE)
 
 
-def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 0.0) -> ConvexProgram:
+def convex_program(problem: StatedProblem, R: Array, r: Array, rest: float = 0.0) -> ConvexProgram:
     """The program that `semidefinite_program` solves, with residuals ``‖R·ψ − r‖² + rest``.
 
     Raises:
@@ -200,7 +200,7 @@ def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 
                          {name: psi[k] for k, name in enumerate(parameters.names)}, named)
 
 
-def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
+def refuse_contradiction(problem: StatedProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
     """Name the contradicting constraints after a solver failed; nothing if a constraint is not convex.
 
     Raises:
@@ -215,7 +215,7 @@ def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior
     raise found
 
 
-def contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
+def contradiction(problem: StatedProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
     """A smallest set of contradicting constraints: each is left out that the contradiction does not need."""
     names, without = names_of(problem, consistent=consistent), set[str]()
     for name in names:
@@ -225,7 +225,7 @@ def contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, co
                         where=problem.where, remedy="drop or loosen one of them")
 
 
-def _most_probable(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
+def _most_probable(problem: StatedProblem, posterior: GaussianPosterior, *, consistent: bool,
                    without: Collection[str] = ()) -> tuple[Array, frozenset[str]] | None:
     """The most probable ψ (p,) and the names of active inequalities; None if constraints contradict each other.
 
@@ -272,7 +272,7 @@ def _by_cvxpy(z: cp.Variable, cost: Any, named: Mapping[str, list[Any]],
         np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > ACTIVE for c in group))
 
 
-def _in_cvxpy(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
+def _in_cvxpy(problem: StatedProblem, posterior: GaussianPosterior, *, consistent: bool,
               without: Collection[str] = ()) -> tuple[cp.Variable, Any, dict[str, list[Any]]]:
     """The Gaussian's coordinates z, which hold equalities by themselves, the cost, and constraints by name but some.
 
@@ -310,5 +310,5 @@ def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
     return (matrix + matrix.T) / 2
 
 
-def _distant(problem: InferenceProblem) -> bool:
+def _distant(problem: StatedProblem) -> bool:
     return problem.distance == "log-det"

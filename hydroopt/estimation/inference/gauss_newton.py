@@ -18,8 +18,6 @@ from scipy.linalg import qr, svd
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.spatial.inertia import Array
 
-ROUNDING = 1e-12
-"""Part of the squares that is rounding only."""
 LEAST, LARGEST = 1e-3, 1e3
 """First damping after a step that hardly lowered the squares, see `bounded_step`, and the one from which on rounding,
 or a corner of the model, keeps any step from it."""
@@ -98,14 +96,14 @@ def minimise(start: P, *, tolerance: float, relative: float = 0.0, steps: int = 
             here = exact
             continue
         there = here.after(step.change)
-        fall, rounding = here.cost - there.cost, ROUNDING * here.cost + tolerance**2
+        fall, rounding = here.cost - there.cost, ROUNDING_TOLERANCE * here.cost + tolerance**2
         if not fall >= -rounding and (exact := here.corrected()) is not here:
             here = exact  # its squares were not those of its unknowns
             continue
         if not fall >= POOR * step.promised - rounding:
             damping = HEAVIER * damping or LEAST
         elif fall > GOOD * step.promised:
-            damping = damping / LIGHTER if damping > ROUNDING else 0.0
+            damping = damping / LIGHTER if damping > ROUNDING_TOLERANCE else 0.0
         if fall >= -rounding:
             here, accepted = there, accepted + 1
         if damping > LARGEST:

@@ -37,6 +37,9 @@ ROUNDING_TOLERANCE = 1e-12
 NULL_SHARE = 1e-6
 """Part of a parameter's unit vector in the null space below which it is identifiable alone."""
 
+DETERMINED = 0.5
+"""A number counts as identified whose standard deviation is less than this part of that of the machine file."""
+
 PRESSURES = (1e6, 4e7)
 """Range of the sum of a cylinder's two pressures [Pa] under ideal motion."""
 

@@ -18,7 +18,7 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
 ROUNDING = 1e-10
-"""Part of the largest singular value below which a direction of shared parameters is rounding error."""
+"""Part of the largest singular value below which a direction is rounding error, and has no variance of its own."""
 
 
 def base_least_squares(R: Array, r: Array, names: tuple[str, ...],

@@ -19,7 +19,7 @@ from hydroopt.estimation.inference import convex_program, ipopt
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.convex_program import Optimum
-from hydroopt.estimation.inference.problem import InferenceProblem, names_of
+from hydroopt.estimation.inference.problem import StatedProblem, names_of
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior
 from hydroopt.spatial.inertia import Array
@@ -50,7 +50,7 @@ class _Coordinates(NamedTuple):
     upper: Array
 
 
-def interior_point(problem: InferenceProblem, unconstrained: GaussianPosterior) -> Optimum:
+def interior_point(problem: StatedProblem, unconstrained: GaussianPosterior) -> Optimum:
     """The most probable ψ; matrices stay positive definite because they are Cholesky products.
 
     Raises:
@@ -89,7 +89,7 @@ def interior_point(problem: InferenceProblem, unconstrained: GaussianPosterior) 
     return Optimum(psi, tuple(name for name in every if name in active))
 
 
-def nonlinear_program(problem: InferenceProblem, residuals: Sequence[ResidualTerm]) -> NonlinearProgram:
+def nonlinear_program(problem: StatedProblem, residuals: Sequence[ResidualTerm]) -> NonlinearProgram:
     """The program in ψ (SI), then the Cholesky factors of the matrices that must be positive semidefinite.
 
     Its fixed numbers p are the standard deviations of the residuals. Bounds and fixed parameters are bounds of x, all
@@ -122,7 +122,7 @@ def nonlinear_program(problem: InferenceProblem, residuals: Sequence[ResidualTer
                    objective=tuple(terms))
 
 
-def _program(problem: InferenceProblem, conditions: Sequence[Condition], coordinates: _Coordinates,
+def _program(problem: StatedProblem, conditions: Sequence[Condition], coordinates: _Coordinates,
              cost: ca.SX) -> NonlinearProgram:
     """Cost, log-det distances, conditions and the user's constraints in terms of the coordinates and factors L."""
     parameters, x = problem.parameters, coordinates.x

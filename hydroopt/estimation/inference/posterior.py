@@ -25,7 +25,7 @@ from hydroopt.estimation.inference import convex_program
 from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.problem import StatedProblem
 from hydroopt.estimation.inference.truncated import Marginal, TruncatedGaussian, of_samples
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial.inertia import Array
@@ -86,14 +86,8 @@ class Posterior:
 
     def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
-        if rows is None:
-            return self.own.std.copy(), self.own.interval.copy()
-        alone = (np.count_nonzero(rows, axis=1) == 1) & (np.max(rows, axis=1, initial=0.0) == 1)
-        at = np.argmax(rows[alone], axis=1)
-        std, interval = np.empty(len(rows)), np.empty((len(rows), 2))
-        std[alone], interval[alone] = self.own.std[at], self.own.interval[at]
-        _, std[~alone], interval[~alone], _ = self.marginal(rows[~alone])
-        return std, interval
+        found = self.own if rows is None else self.marginal(rows)
+        return found.std.copy(), found.interval.copy()
 
     @property
     def note(self) -> str:
@@ -105,7 +99,7 @@ class Posterior:
                 + ", which did not converge" * (not self.converged))
 
 
-def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consistent: bool,
+def sample(problem: StatedProblem, R: Array, r: Array, psi: Array, *, consistent: bool,
            seed: int) -> Posterior | None:
     """Sample the posterior around the estimate ψ; None (with no samples) where a constraint forbids it.
 
@@ -154,7 +148,7 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances", settled)
 
 
-def _possible_points(problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
+def _possible_points(problem: StatedProblem, gaussian: GaussianPosterior, user: _UserConstraints,
                      density: _Density, psi: Array, *, consistent: bool) -> Iterator[Array]:
     """Points z (k,) inside: the nominal parameters, a little away from bounds, and one near the estimate ψ, which takes
     longer to find."""
@@ -180,7 +174,7 @@ class _Density:
     matrices that must be positive definite, the second entries, ..., then single ones.
     """
 
-    def __init__(self, problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
+    def __init__(self, problem: StatedProblem, gaussian: GaussianPosterior, user: _UserConstraints,
                  conditions: Sequence[Condition]) -> None:
         matrices = [c for c in conditions if c.kind == "semidefinite"]
         linear = [c for c in conditions if c.kind == "nonnegative"]
@@ -393,7 +387,7 @@ class _UserConstraints:
         return z
 
 
-def _user_constraints(problem: InferenceProblem) -> _UserConstraints | None:
+def _user_constraints(problem: StatedProblem) -> _UserConstraints | None:
     """The user's constraints in a form that can be sampled.
 
     None if one cannot be: a nonlinear equality, or a relation that only cvxpy understands.
@@ -405,7 +399,7 @@ def _user_constraints(problem: InferenceProblem) -> _UserConstraints | None:
     for constraint in problem.constraints:
         try:
             body, equal = as_casadi(constraint, named)
-        except (ProblemError, TypeError, ValueError, NotImplementedError):  # what cvxpy raises at CasADi symbols
+        except ProblemError:  # its function takes no symbols of CasADi
             return None
         if equal:
             return None

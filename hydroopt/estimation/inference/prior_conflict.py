@@ -14,7 +14,8 @@ from hydroopt.spatial.inertia import Array
 WIDE = 1e3
 """Standard deviation, in scales, of parameters without a prior."""
 CONFLICT = 1e-3
-"""p-value of agreement below which a statement or a prior is contradicted, and the answer is suspect."""
+"""p-value of agreement below which a statement, a prior or a group of stated numbers is contradicted, and the answer
+is suspect."""
 INFORMED = 1.0
 """Ratio of the prior's variance to that of the data above which a direction is tested."""
 

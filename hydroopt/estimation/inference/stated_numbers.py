@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from hydroopt.estimation.inference.prior_conflict import CONFLICT
 from hydroopt.results.diagnostic import Diagnostic, Meaning, probability
 from hydroopt.spatial.inertia import Array
 
-CONTRADICTED = 1e-3
-"""Probability, over all groups of numbers, below which they contradict what is stated of them."""
 DETERMINED = 0.5
 """Part of the stated variance that the data must take away from a combination of numbers to test it."""
 MOST = 4
@@ -51,7 +50,7 @@ def _further(names: Sequence[str], group: str, own: NDArray[np.intp], off: Array
         return None
     squares = (vectors[:, determined].T @ off[own]) ** 2 / values[determined]
     p = float(special.chdtrc(len(squares), np.sum(squares)))
-    if (tests + 1) * p >= CONTRADICTED:
+    if (tests + 1) * p >= CONFLICT:
         return None
     far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], DETERMINED))
     most = [k for n, k in enumerate(np.argsort(-far, kind="stable")[:MOST].tolist()) if far[k] > 2.0 or not n]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.conditions import Condition
-from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.problem import StatedProblem
 from hydroopt.spatial.inertia import Array
 
 WIDEST = 1e6
@@ -81,7 +81,7 @@ def gaussian(rows: Array, right: Array, nominal: Array, scale: Array) -> Gaussia
                              np.zeros(p))
 
 
-def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array, *, priors: bool = True) -> GaussianPosterior:
+def gaussian_posterior(problem: StatedProblem, R: Array, r: Array, *, priors: bool = True) -> GaussianPosterior:
     """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors, or without them."""
     nominal, scale = problem.parameters.nominal, problem.parameters.scale
     rows, right = problem.prior_rows if priors else (np.zeros((0, len(nominal))), np.zeros(0))

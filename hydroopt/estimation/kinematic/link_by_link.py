@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.certificate import AT_BOUND
 from hydroopt.estimation.inference.gauss_newton import DenseRows, minimise
-from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
+from hydroopt.estimation.inference.identifiability import NULL_SHARE, PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.tables import number
@@ -71,12 +72,6 @@ SETTLED = 1e-10
 """Relative decrease of the sum of squares below which an iteration has converged."""
 ROUNDOFF = 1e-14
 """Smallest predicted decrease [m], as a root mean square, for which a step is made."""
-STEPS = 100
-"""Iterations after which a part p counts as converged."""
-TOUCHED = 1e-6
-"""Part of a parameter's unit vector in the null space from which on it counts as not identified."""
-RESIDUE = 1e-6
-"""Part of a parameter's scale by which an answer may lie outside of a bound, at which it is then set."""
 EXACT_WEIGHT = 100.0
 """Weight of the best known distance between fixtures against a gap: loops must not shrink to shrink their noise."""
 Rows = Callable[[Array], tuple[Array, Array]]
@@ -268,7 +263,7 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
     while p >= LAST:
         before = place.cost
         found = minimise(replace(place, truncation=p), tolerance=ROUNDOFF * np.sqrt(len(place.linearised[0])),
-                         relative=SETTLED, steps=STEPS)
+                         relative=SETTLED)
         place, iterations = found.place, iterations + found.steps
         if found.steps:
             truncation, taken = p, found.last.rank
@@ -278,7 +273,7 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
     residual, jacobian = place.linearised
     _, s, vt = np.linalg.svd(jacobian * scale[unknown])
     null_space = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
-    identified = unknown[np.linalg.norm(null_space, axis=0) < TOUCHED]
+    identified = unknown[np.linalg.norm(null_space, axis=0) < NULL_SHARE]
     solution = x.copy()
     solution[unknown] = place.x
     return _Minimum(solution, identified, iterations, truncation, taken, float(np.sqrt(np.mean(residual**2))))
@@ -321,7 +316,7 @@ def _refuse(problem: CalibrationProblem) -> None:
 
 def _check_bounds(problem: CalibrationProblem, theta: Array) -> None:
     """Raise where the answer, which knows no bounds, lies outside of them by more than a residue."""
-    own, residue = problem.parameters, RESIDUE * problem.parameters.scale
+    own, residue = problem.parameters, AT_BOUND * problem.parameters.scale
     for k in np.flatnonzero(problem.free & ((theta < own.lower - residue) | (theta > own.upper + residue))):
         raise ProblemError(f"the link-by-link method found {theta[k]:.4g} {own.units[k]}, outside of the bounds "
                            f"{own.lower[k]:.4g} to {own.upper[k]:.4g}, which it cannot keep to",

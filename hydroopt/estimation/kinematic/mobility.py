@@ -15,7 +15,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
-from hydroopt.estimation.kinematic.pose_checks import has_length_scale, no_length_scale
+from hydroopt.estimation.kinematic.pose_checks import PLAY, has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
 from hydroopt.machine.actuators import Cylinder
@@ -26,8 +26,6 @@ from hydroopt.model.closed_chain import KinematicModel, recent_chain
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
-PLAY = 1e-3
-"""Standard deviation [m] that every row is given at least: where too few joints are sensed nothing else weighs it."""
 TRIES = 20
 """Random postures that are tried for each one wanted."""
 POSES = "poses"

@@ -26,7 +26,7 @@ EXACT = 1e-4
 """Largest part of its standard deviation, or of `PLAY`, that a residual of planned positions is: measured ones differ
 from the nominal machine by the errors of sensors and geometry."""
 PLAY = 1e-3
-"""Scale [m or rad] of a gap whose fixture has no play."""
+"""Scale [m or rad] of a gap whose fixture has no play, and of rows that no sensed joint weighs."""
 BETTER = 0.2
 """Part of the misfit that must be left if readings are taken otherwise to say that they should be."""
 STRAY = 0.1

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError
+from hydroopt.estimation.inference.band_variances import NORMAL
+from hydroopt.estimation.inference.certificate import AT_BOUND
 from hydroopt.estimation.kinematic.link_by_link import StageResult
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.pose_faults import Suspect
@@ -147,14 +149,14 @@ class KinematicSolution:
     def at_bound(self) -> NDArray[np.bool_]:
         """(P,) which parameters are held back by a bound, where a symmetric interval would be wrong."""
         parameters = self.problem.parameters
-        near = 1e-6 * parameters.scale
+        near = AT_BOUND * parameters.scale
         bound: NDArray[np.bool_] = (self.theta < parameters.lower + near) | (self.theta > parameters.upper - near)
         return bound & self.problem.free
 
     @property
     def ci95(self) -> Array:
         """(P, 2) intervals."""
-        return np.asarray(self.theta[:, None] + 1.959964 * self.std[:, None] * np.array([-1.0, 1.0]))
+        return np.asarray(self.theta[:, None] + NORMAL * self.std[:, None] * np.array([-1.0, 1.0]))
 
     @cached_property
     def written(self) -> CalibratedMachine:
@@ -241,7 +243,7 @@ def _calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
         text = dump_machine(made)
         read_machine(text, where="the calibrated machine")
     except (HydrooptError, ValueError) as error:
-        return CalibratedMachine(reason=_reason(machine, error))
+        return CalibratedMachine(reason=str(error).splitlines()[0])
     return CalibratedMachine(made, text, "", narrowed, widened)
 
 
@@ -257,15 +259,3 @@ def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
         after = min(lower, float(np.min(angles, initial=lower))), max(upper, float(np.max(angles, initial=upper)))
         if after != (lower, upper):
             yield WidenedLimits(link.name, (lower, upper), after)
-
-
-def _reason(machine: Machine, error: Exception) -> str:
-    """The first reason in words, with the name of the part."""
-    lines = [line.split(" [type=")[0].strip() for line in str(error).splitlines()]
-    if len(lines) < 3:
-        return lines[0]
-    kind, number, *rest = lines[1].split(".")
-    parts = getattr(machine, kind, ())
-    named = number.isdigit() and int(number) < len(parts)
-    place = ".".join([parts[int(number)].name, *rest]) if named else lines[1]
-    return f"{place}: {lines[2][0].lower()}{lines[2][1:]}."

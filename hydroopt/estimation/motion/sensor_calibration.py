@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from hydroopt.estimation.inference.band_variances import NORMAL
+from hydroopt.estimation.inference.identifiability import DETERMINED
 from hydroopt.estimation.inference.stated_numbers import contradicted
 from hydroopt.estimation.motion.misread import examined_fit
 from hydroopt.estimation.motion.motion_fit import FittedPaths
@@ -36,8 +38,6 @@ from hydroopt.simulation.simulate import Trajectory, random_trajectory, simulate
 from hydroopt.spatial.inertia import Array
 
 METHOD = "continuous-time batch estimation"
-DETERMINED = 0.5
-"""A number is identified whose standard deviation the data reduce to less than this part of that before."""
 LITTLE = 0.9
 """The data hardly determine a number whose standard deviation remains more than this part of that before."""
 PARTS = 8
@@ -134,7 +134,7 @@ class SensorCalibration(Answer):
         for each, value, std in zip(self.found.fit.common, self.found.fit.value, self.std, strict=True):
             kind = "full" if std < DETERMINED * each.sigma else "combination" if std < LITTLE * each.sigma else "none"
             rows.append(row(each.name, each.kind, each.unit, nominal=each.prior, prior_std=each.sigma, value=value,
-                            std=std, ci95=(value - 1.96 * std, value + 1.96 * std), identifiability=kind))
+                            std=std, ci95=(value - NORMAL * std, value + NORMAL * std), identifiability=kind))
         return ParameterTable(rows)
 
     @cached_property

@@ -62,7 +62,7 @@ def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
     focus; by default their scales.
     """
     chosen = _Design(problem, found, units).best(problem.count, progress)
-    progress("finding the order of measuring", 1.0)
+    progress("finding the order of measuring", 0.95)
     groups = found[chosen].reshape(len(found), -1, found.shape[2])
     drifting = [k for k, group in enumerate(problem.groups) if group.drift]
     best = groups.copy()
@@ -144,10 +144,10 @@ class _Design:
             return np.where(chosen[group], -np.inf, found)
 
         for k in range(count):
-            progress(f"choosing pose {k + 1} of {count}", 0.5 + 0.5 * k / count)
+            progress(f"choosing pose {k + 1} of {count}", 0.5 + 0.4 * k / count)
             for group, taken in enumerate(chosen):
                 taken[np.argmax(score(group))] = True
-        progress("exchanging poses until none helps", 1.0)
+        progress("exchanging poses until none helps", 0.9)
         helped = True
         while helped:
             helped = False

@@ -11,7 +11,7 @@ import pytest
 from hydroopt.estimation.dynamic import claims
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
-from hydroopt.estimation.dynamic.left_out import BLOCKS, LeftOut, left_out
+from hydroopt.estimation.dynamic.left_out import BLOCKS, LeftOut
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.logs.forces_from_pressures import force_noise
@@ -140,15 +140,15 @@ def test_a_block_is_predicted_by_a_model_that_was_solved_without_it() -> None:
     model = Model(load_machine("patu655_lift"))
     log = simulate(model, random_trajectory(model, duration=20, rate=RATE, seed=1), seed=1)
     estimate = identify(identification_problem(model, [log]).by_data_alone(), "wls")
-    data, left = estimate.problem.experiments[0], left_out(estimate)
+    data, left = estimate.problem.experiments[0], estimate.left_out
     assert left is not None
     used = np.flatnonzero(data.inside)
-    blocks = np.array_split(used, BLOCKS)
+    edges = np.linspace(used[0], used[-1] + 1, BLOCKS + 1).astype(int)
     K, force = data.equations()
     known = data.inside & data.known[:, 0]
-    for k, block in enumerate(blocks):
+    for k in range(BLOCKS):
         inside = np.zeros(len(force), dtype=bool)
-        inside[block[0] : block[-1] + 1] = True
+        inside[edges[k] : edges[k + 1]] = True
         rest = known & ~inside
         psi = np.linalg.lstsq(K[0][rest, 0] * model.parameters.scale, force[rest, 0], rcond=1e-9)[0]
         off = force[inside & data.inside, 0] - data.predicted(psi * model.parameters.scale)[inside & data.inside, 0]

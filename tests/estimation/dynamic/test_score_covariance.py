@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress, compressed
@@ -37,7 +38,7 @@ def problem(wheel: Model, logs: list[Log]) -> IdentificationProblem:
 
 def test_rows_by_frequency_have_the_sums_of_squares_of_all_samples(noisy: IdentificationProblem) -> None:
     plain = compress(noisy.experiments)
-    bands = compressed([data.bands() for data in noisy.experiments])
+    bands = compressed(ActuatorBands.together([data.bands() for data in noisy.experiments]))
     np.testing.assert_array_equal(bands.samples, plain.samples)
     for one, other in zip(bands.triangles, plain.triangles, strict=True):
         gram = other.T @ other

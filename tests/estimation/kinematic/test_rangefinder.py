@@ -141,7 +141,11 @@ def test_poses_are_planned_simulated_and_calibrated_with_it() -> None:
     ('accuracy = "2 mm"\n', "", "rangefinders[laser].accuracy: this key is missing"),
     ("[1, 0, 0.2]", "[0, 0, 0]", "rangefinders[laser].direction: the beam of 'laser' has no direction"),
     ('link = "stick"', 'link = "stik"', "rangefinders[laser].link: 'laser' is attached to 'stik', which does not"),
-    ('link = "stick"', 'link = "base"', "the beam of 'laser' cannot hit the ground, which is at -0.5 m")])
+    ('link = "stick"', 'link = "base"', "the beam of 'laser' cannot hit the ground, which is at -0.5 m"),
+    ("[1, 0, 0.2]", "[0, 0, 1]", "the ground, which is at -0.5 m, within its range of 8 m, wherever its link stands;"),
+    ("[1, 0, 0.2]", "[-1, 0, 0]", "cannot hit the ground"),
+    ('range = "8 m"', 'range = "5 cm"', "cannot hit the ground, which is at -0.5 m, within its range of 0.05 m"),
+    ('ground = "-0.5 m"', 'ground = "-20 m"', "cannot hit the ground, which is at -20 m")])
 def test_bad_statements_are_refused(before: str, after: str, sentence: str) -> None:
     assert TEXT.count(before) == 1
     with pytest.raises(MachineError, match=re.escape(sentence)):
