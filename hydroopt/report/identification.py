@@ -124,8 +124,8 @@ def _groups(estimate: Estimate) -> list[Group]:
 def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:
     # a sign stays on the line of its term
     return [(one["expression"].replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(one["unit"]),
-             quantity(float(value), float(std)))
-            for one, value, std in zip(estimate.base_parameters, estimate.base_value, estimate.base_std, strict=True)]
+             quantity(one["value"], np.nan if one["std"] is None else one["std"]))
+            for one in estimate.base_parameters]
 
 
 def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:

@@ -65,7 +65,8 @@ def _prediction(found: Identification) -> Iterator[Diagnostic]:
         trained = found.fit["train"].get(channel)
         if channel == "all" or trained is None:
             continue
-        if 1 < held_out.relative < np.inf:  # nothing is measured at a passive joint
+        larger = held_out.rms > OVERFITTED * trained.rms
+        if larger and 1 < held_out.relative < np.inf:  # nothing is measured at a passive joint
             yield Diagnostic.of("validation forces predicted worse than by zero", (channel,), {
                 "relative": number(held_out.relative)},
                 "The forces of {subject} in the validation logs are predicted worse than by zero ({relative:.0f %} "
@@ -77,7 +78,7 @@ def _prediction(found: Identification) -> Iterator[Diagnostic]:
                 "The forces of {subject} in the validation logs are off by a constant: their mean predicts them "
                 "better than the estimate."),
                 "Check the offset of the pressure or torque readings, and whether the load differs.")
-        elif held_out.rms > OVERFITTED * trained.rms and channel not in passive:  # angles err as they move
+        elif larger and channel not in passive:  # angles err as they move
             yield Diagnostic.of("validation error much larger than training error", (channel,), {
                 "ratio": number(held_out.rms / trained.rms) if trained.rms else None},
                 "The validation error of {subject} is {ratio:.1f} times the training error.",
@@ -99,8 +100,7 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
                 "relative": fit.relative, "data": data},
                 "The model does not explain {subject}: in the {data} logs its forces are off by {relative:.0f %}, "
                 "beyond its sensors' noise.",
-                "Do not use the model for this actuator. Look for friction, gears or a load that the machine file "
-                "lacks.", Meaning.CONTRADICTION)
+                "Claims contain it. Look for friction, gears or a load that the machine file lacks.")
 
 
 def uncertain_positions(found: Identification) -> Iterator[Diagnostic]:

@@ -30,7 +30,8 @@ from hydroopt.results.diagnostic import Diagnostic, Meaning
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.verdict import Claim, NextStep
+from hydroopt.results.verdict import NORMAL, Claim, NextStep
+from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,8 +71,9 @@ class Estimate(Identification, Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
         uncertain = {} if self.problem.beside else misfit_diagnostics.uncertain_geometry(self.problem.model.machine)
+        sums = self.identifiability.grouping
         tested = () if self.misfit is None else misfit_diagnostics.diagnose(
-            self.misfit, self.identifiability.grouping, 1.96 * self.base_std, uncertain)
+            self.misfit, sums, NORMAL * self._widened(self.base_std, sums), uncertain)
         # a cause of a misfit may move what friction does at reversals
         late = () if self.misfit is None or self.misfit.found else reversals.diagnose(self)
         more = (*tested, *late, *diagnostics.diagnose(self))
@@ -124,11 +126,17 @@ class Estimate(Identification, Answer):
     def parameters(self) -> ParameterTable:
         """All dynamic parameters; `prior_std` where the method used the machine file's prior."""
         stated, prior = self.problem.parameters, self.prior_std
+        std = self._widened(self.std, np.eye(len(self.std)))
+        more = NORMAL * (std - self.std)
         return ParameterTable([
             row(name, stated.kinds[k], stated.units[k], nominal=stated.nominal[k], prior_std=prior[k],
-                value=self.value[k], std=self.std[k], ci95=self.ci95[k], bound=self.bound[k],
+                value=self.value[k], std=std[k], ci95=self.ci95[k] + (-more[k], more[k]), bound=self.bound[k],
                 identifiability=self.category(k))
             for k, name in enumerate(stated.names)])
+
+    def _widened(self, std: Array, sums: Array) -> Array:
+        """Standard deviations (m,) of sums (m, p) of the parameters with what the model is found to lack."""
+        return std if self.misfit is None else np.hypot(std, self.misfit.widening(sums))
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
@@ -150,8 +158,9 @@ class Estimate(Identification, Answer):
     def base_parameters(self) -> tuple[Mapping[str, Any], ...]:
         """The combinations that the training data determine: expression, unit, value and std."""
         found, units = self.identifiability, self.problem.parameters.units
+        stds = self._widened(self.base_std, found.grouping)
         return tuple({"expression": found.expression(i), "unit": units[found.basis[i]],
-                      "value": number(self.base_value[i]), "std": number(self.base_std[i])} for i in range(found.rank))
+                      "value": number(self.base_value[i]), "std": number(stds[i])} for i in range(found.rank))
 
     def details(self) -> Mapping[str, Any]:
         """Base parameters, masses of links, conditioning, physical consistency, weights and how it was computed."""

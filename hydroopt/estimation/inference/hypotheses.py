@@ -82,6 +82,7 @@ class Hypothesis(ABC, Generic[D]):
         positive: whether its amount cannot be negative.
         linear: whether its effect is linear in the amount; otherwise columns are those about an amount.
         local: whether it concerns so few data that blocks cannot agree on it.
+        lack: whether it is an effect that the model lacks: it widens what is stated, and contradicts nothing.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Hypothesis(ABC, Generic[D]):
     positive: bool = False
     linear: bool = True
     local: bool = False
+    lack: bool = False
 
     @abstractmethod
     def columns(self, data: D, amount: Array) -> Array:
@@ -356,16 +358,16 @@ def _leading(data: Readings[H], candidates: Sequence[H], found: Sequence[Found[H
     held = [(each.hypothesis, each.amount) for each in found]
     model, columns = data.model(held), data.columns(candidates, held)
     screened, places = model.screened(candidates, columns), np.cumsum([0, *(len(each.std) for each in candidates)])
-    close: list[Found[H]] = []
-    for k in np.argsort(-screened)[:CLOSE].tolist():
-        if screened[k] > LEVEL:
-            each = candidates[k]
-            one = model.holding(each, columns[places[k] : places[k + 1]]).found(each, model)
-            if not each.linear:
-                one = judged(data, [*found, one])[-1]
-            close.append(one)
-    shown = sorted((each for each in close if each.shown(tried)), key=lambda each: -each.evidence)
-    if not shown:
-        return None
+    close = [model.holding(candidates[k], columns[places[k] : places[k + 1]]).found(candidates[k], model)
+             for k in np.argsort(-screened)[:CLOSE].tolist() if screened[k] > LEVEL]
+    exact = {id(each.hypothesis) for each in close if each.hypothesis.linear}
+    while True:
+        shown = sorted((each for each in close if each.shown(tried)), key=lambda each: -each.evidence)
+        if not shown:
+            return None
+        if id(shown[0].hypothesis) in exact:
+            break
+        close[close.index(shown[0])] = judged(data, [*found, shown[0]])[-1]  # others lead only by what they are alone
+        exact.add(id(shown[0].hypothesis))
     near = shown[0].evidence - max(MARGIN, ROUGH * shown[0].evidence)
     return replace(shown[0], rivals=tuple(each for each in shown[1:] if each.evidence > near))

@@ -39,14 +39,15 @@ def diagnose(found: Misfit, sums: Array, width: Array,
         tied = [other.hypothesis.sentence(other.amount) for other in cause.rivals]
         known = np.isfinite(width) & (width > 0)
         moved = cause.moves(np.pad(sums[known], ((0, 0), (0, len(cause.shift) - sums.shape[1]))), width[known])
-        material = moved > MATERIAL or not np.any(known)
+        material = not fault.lack and (moved > MATERIAL or not np.any(known))
         yield Diagnostic.of("likeliest cause of the misfit", fault.subject, {
             "cause": words, "fault": fault.name, "amount": amount * fault.factor,
             "remedy": fault.remedy + _alike(uncertain, [fault, *rivals]),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor, "unit": fault.unit,
             "evidence": cause.evidence, "moves": number(moved), "tied": [other.name for other in rivals],
             "others": f"; these data do not tell it from: {listed(list(dict.fromkeys(tied)), 3)}" if tied else "",
-            "moved": "It moves parameters by more than is stated of them" if material else
+            "moved": "Intervals contain what it moves" if fault.lack else
+                     "It moves parameters by more than is stated of them" if material else
                      "Parameters stay within what is stated of them"},
             "The likeliest cause of the misfit: {cause}, by {amount:.3g} ± {std:.2g} {unit}{others}. {moved}.",
             "{remedy}", Meaning.CONTRADICTION if material else Meaning.NOTE)

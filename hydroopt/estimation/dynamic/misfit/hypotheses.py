@@ -486,7 +486,7 @@ def _of_forces(view: View, k: int) -> Iterator[Fault]:
         size = TYPICAL * float(np.sqrt(np.max(np.mean(terms**2, axis=0), initial=0.0)))
         for course in ("viscous", "coulomb"):
             yield Added(**_named("friction", name, f"{name} has {FRICTION[course]}, which the model lacks"), unit=unit,
-                        std=(size,), course=course, reading=k)
+                        std=(size,), course=course, reading=k, lack=True)
         return
     factors = actuator.effort_factors if actuator else {}
     chambers = [channel for each in balance.actuators for channel in each.effort_factors if channel in view.pressures]
@@ -515,7 +515,7 @@ def _of_forces(view: View, k: int) -> Iterator[Fault]:
     for course, words in FRICTION.items():
         if KNOWN.get(course) not in has and (sealed or course != "seal"):
             yield Added(**_named("friction", name, f"{name} has {words}, which the model lacks"), unit=unit,
-                        std=(size,), course=course, reading=k)
+                        std=(size,), course=course, reading=k, lack=True)
 
 
 def _kinds_of(view: View, balance: Balance) -> Iterator[ParameterKind]:

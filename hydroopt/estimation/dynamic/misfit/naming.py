@@ -11,13 +11,12 @@ import numpy as np
 from hydroopt.estimation.dynamic.misfit.hypotheses import Fault, listed
 from hydroopt.estimation.dynamic.misfit.readings import ForceReadings
 from hydroopt.estimation.dynamic.misfit.view import UNKNOWN, View
-from hydroopt.estimation.inference.hypotheses import RANGE, Found, LinearModel, name
+from hydroopt.estimation.inference.hypotheses import RANGE, Found, name
 from hydroopt.results.tables import number
+from hydroopt.spatial.inertia import Array
 
 LARGE = 1.5
 """Residuals as a multiple of what noise and errors of the motion add, from which on they are worth a note."""
-EXPLAINED = 0.5
-"""Part of the squares beyond noise that hypotheses may leave for them to be named as the cause."""
 SLOWEST_LINE, CLEAR = 3.0, 1e-6
 """Oscillations are looked for above this frequency [Hz]; probability below which one is no noise."""
 FEW = 64
@@ -58,6 +57,11 @@ class Misfit:
         """Readings with residuals that nothing explains, the largest first, as of `excess`."""
         return {name: one for name, one in sorted(self.excess.items(), key=lambda item: -item[1][0]) if one[0] > LARGE}
 
+    def widening(self, sums: Array) -> Array:
+        """What effects that the model lacks shift sums (m, p) of the parameters by (m,): their intervals contain it."""
+        shifts = [sums @ each.shift[: sums.shape[1]] for each in self.found if each.hypothesis.lack]
+        return np.asarray(np.sqrt(sum((shift**2 for shift in shifts), start=np.zeros(len(sums)))))
+
     @property
     def shown(self) -> dict[str, tuple[float, float, str]]:
         """By group of hypotheses: the least and the largest of `smallest` over it, as printed, and the unit."""
@@ -92,8 +96,6 @@ def examine_fit(data: ForceReadings) -> Misfit:
     found = name(data, candidates)
     sound, columns = data.model([]), data.columns(candidates, [])
     after = data.model([(each.hypothesis, each.amount) for each in found])
-    if _beyond(after) > EXPLAINED * _beyond(sound):  # an effect that is not listed always resembles some that are
-        found, after = (), sound
 
     def by_name(values: list[np.ndarray]) -> dict[str, float]:
         return dict(zip(data.names, np.mean(values, axis=0).tolist(), strict=True))
@@ -102,12 +104,6 @@ def examine_fit(data: ForceReadings) -> Misfit:
                   by_name([one.noise / one.stated_noise for one in data.views]),
                   by_name([one.spike_share for one in data.views]),
                   {name: line for one in data.views for name, line in lines(one)})
-
-
-def _beyond(model: LinearModel[Fault]) -> float:
-    """Sum of squares beyond what noise and the motion explain."""
-    counts = np.bincount(model.cells.group, model.cells.rows, len(model.fit.variance))
-    return float(counts @ (model.fit.variance - 1))
 
 
 def lines(view: View) -> Iterator[tuple[str, Line]]:

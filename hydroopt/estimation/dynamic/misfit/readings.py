@@ -107,8 +107,9 @@ class ForceReadings:
         parts = max(FEWEST, min(BLOCKS, 2 * BLOCKS // len(problem.experiments)))
         for one in problem.experiments:
             data, motion = one.plotted, one.plotted.motion
-            part, blocks = looked_at(data, blocks_of(motion, len(self.views), parts))
-            view = View.of(part, psi, (float(motion.t[0]), float(motion.t[-1])))
+            whole = View.of(data, psi)
+            part, blocks = looked_at(whole.experiment, blocks_of(motion, len(self.views), parts))
+            view = replace(whole, experiment=part)
             if not self.views or view.lengths == self.views[0].lengths:
                 self.views.append(view)
                 self.blocks += blocks
