@@ -28,16 +28,11 @@ MOTIONS, DRAWS = 8, 10
 Row = dict[str, Any]
 
 
-def cells(machines: Iterable[str], kinds: Sequence[str], seeds: Iterable[int]) -> list[tuple]:
-    """Machine, kind, size and seed of all runs."""
-    made: list[tuple] = []
-    for machine in machines:
-        for name in kinds:
-            if name in SOUND:
-                made += [(machine, name, 0, seed) for seed in seeds]
-            elif applies(MACHINES[machine], name):
-                made += [(machine, name, size, seed) for seed in seeds for size in range(3 if name != "swap" else 1)]
-    return made
+def cells(machines: Sequence[str], kinds: Sequence[str], seeds: Iterable[int]) -> list[tuple]:
+    """Machine, kind, size and seed of all runs, seed by seed."""
+    return [(machine, name, size, seed) for seed in seeds for machine in machines for name in kinds
+            for size in range(1 if name in SOUND or name == "swap" else 3)
+            if name in SOUND or applies(MACHINES[machine], name)]
 
 
 def white_cells() -> list[tuple]:
@@ -46,10 +41,12 @@ def white_cells() -> list[tuple]:
             for motion in range(MOTIONS) for draw in range(DRAWS)]
 
 
-def computed(wanted: Sequence[tuple], keep: Path) -> list[Row]:
+def computed(wanted: Sequence[tuple], keep: Path, *, kept_only: bool = False) -> list[Row]:
     """Rows of cells, by two processes; those that are kept already are not computed again."""
     kept = {tuple(row["cell"]): row for row in map(json.loads, keep.read_text("utf-8").splitlines())
             } if keep.is_file() else {}
+    if kept_only:
+        return [kept[cell] for cell in wanted if cell in kept]
     keep.parent.mkdir(parents=True, exist_ok=True)
     missing = [cell for cell in wanted if cell not in kept]
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool, keep.open("a", encoding="utf-8") as file:
@@ -123,7 +120,9 @@ def _within(values: Sequence[float]) -> float | None:
 def by_kind(rows: Sequence[Row]) -> None:
     """Print the table: status against claims, by machine, kind and size."""
     lines = []
-    for key in dict.fromkeys((row["machine"], row["kind"], row["size"]) for row in rows):
+    order = [*SOUND, *SIZES]
+    for key in sorted({(row["machine"], row["kind"], row["size"]) for row in rows}, key=lambda key: (
+            key[0], order.index(key[1]), key[2])):
         some = [row for row in rows if (row["machine"], row["kind"], row["size"]) == key]
         said = [row for row in some if row["status"] in ("ok", "suspect")]
         counts = [sum(row["status"] == status and row.get("true", False) is holds for row in said)
@@ -169,6 +168,7 @@ def main() -> None:
     parser.add_argument("--kind", nargs="+", default=[*SOUND, *SIZES], choices=[*SOUND, *SIZES])
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many")
     parser.add_argument("--seed", type=int, help="this one alone, counted from 0; its rows are printed whole")
+    parser.add_argument("--kept", action="store_true", help="compute nothing: judge the rows that are kept")
     parser.add_argument("--white", action="store_true", help="80 logs with white noise alone, instead")
     parser.add_argument("--real", action="store_true", help="real logs, instead")
     parser.add_argument("--keep", type=Path, default=OUT / "verdicts" / "rows.jsonl", help="file of the rows")
@@ -177,10 +177,10 @@ def main() -> None:
         print(json.dumps(real.run(), indent=1))
         return
     if given.white:
-        found = white(computed(white_cells(), given.keep))
+        found = white(computed(white_cells(), given.keep, kept_only=given.kept))
     else:
         seeds = range(FIRST, FIRST + given.seeds) if given.seed is None else [FIRST + given.seed]
-        rows = computed(cells(given.machine, given.kind, seeds), given.keep)
+        rows = computed(cells(given.machine, given.kind, seeds), given.keep, kept_only=given.kept)
         if given.seed is not None:
             print(json.dumps(rows, indent=1))
         by_kind(rows)
