@@ -1,10 +1,10 @@
 """Hypotheses about data and model: what each adds to whitened linear least squares, and which of them the data show.
 
 Readings about the point of linearisation are ``r = N·x + H·a + e``: nuisances x with a Gaussian prior, among them all
-parameters; amounts a of a hypothesis, ``a ~ N(0, std²)``; and errors e, which are white within a group of cells, with a
+parameters; amounts a of a hypothesis, ``a ~ N(0, std²)``; and errors e, which are white within a group of rows, with a
 variance that is estimated there and is at least the stated one. A hypothesis is weighed by the ratio of the marginal
 likelihoods with and without its columns: the log Bayes factor, in nats. Everything follows from inner products of
-columns, cell by cell.
+columns, group by group.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -42,30 +41,23 @@ NORMAL = 1.645
 """Quantile of the normal distribution at 95 %."""
 
 
-class Cells(NamedTuple):
-    """What inner products are kept apart by: (C,) block of the data, group of equal variance, and number of rows."""
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What each row belongs to: (R,) block of the data, (R,) group of equal variance; (G,) number of rows of a group,
+    of which transformed rows may count less than one each."""
 
     block: NDArray[np.intp]
     group: NDArray[np.intp]
-    rows: Array
+    count: Array
 
+    @cached_property
+    def members(self) -> list[NDArray[np.intp]]:
+        """Rows of each group."""
+        return [np.flatnonzero(self.group == g) for g in range(len(self.count))]
 
-class Rows:
-    """Whitened columns (R, k), their rows sorted by cell; `edges` (C + 1,) are the first rows of the cells."""
-
-    def __init__(self, values: Array, edges: Sequence[int]) -> None:
-        self.values, self.edges = values, edges
-
-    def __getitem__(self, columns: slice) -> Rows:
-        return Rows(self.values[:, columns], self.edges)
-
-    def beside(self, other: Rows) -> Rows:
-        """These columns and those of another."""
-        return Rows(np.hstack([self.values, other.values]), self.edges)
-
-    def inner(self, other: Rows) -> Array:
-        """Inner products (C, k, l) cell by cell."""
-        return np.stack([self.values[a:b].T @ other.values[a:b] for a, b in pairwise(self.edges)])
+    def inner(self, one: Array, other: Array) -> Array:
+        """Inner products (G, k, l) of whitened columns (R, k) and (R, l), group by group."""
+        return np.stack([one[rows].T @ other[rows] for rows in self.members])
 
 
 D = TypeVar("D")
@@ -183,53 +175,53 @@ class LinearModel(Generic[H]):
     """Whitened readings about a point of linearisation; hypotheses that hold are the last of the nuisances.
 
     Attributes:
-        nuisances, residual: columns N (R, P) and r (R, 1).
-        products, scores, squares: NᵀN (C, P, P), Nᵀr (C, P) and rᵀr (C,), cell by cell.
+        nuisances, residual: columns N (R, P) and r (R,).
+        layout: what the rows belong to.
+        products, scores, squares: NᵀN (G, P, P), Nᵀr (G, P) and rᵀr (G,), group by group.
         prior: (P, P) information about x; `pull` (P,) that information times the prior's mean.
-        cells: what the rows belong to.
         about: (a,) amounts about which the hypotheses that hold are linearised, side by side.
         constant: log density of the priors of their amounts, as far as x does not change it.
     """
 
-    nuisances: Rows
-    residual: Rows
+    nuisances: Array
+    residual: Array
+    layout: Layout
     products: Array
     scores: Array
     squares: Array
     prior: Array
     pull: Array
-    cells: Cells
     about: Array
     constant: float = 0.0
 
     @classmethod
-    def of(cls, nuisances: Rows, residual: Rows, prior: Array, pull: Array, cells: Cells) -> LinearModel[H]:
+    def of(cls, nuisances: Array, residual: Array, layout: Layout, prior: Array, pull: Array) -> LinearModel[H]:
         """The model in which no hypothesis holds."""
-        return cls(nuisances, residual, nuisances.inner(nuisances), nuisances.inner(residual)[:, :, 0],
-                   residual.inner(residual)[:, 0, 0], prior, pull, cells, np.zeros(0))
+        r = residual[:, None]
+        return cls(nuisances, residual, layout, layout.inner(nuisances, nuisances), layout.inner(nuisances, r)[:, :, 0],
+                   layout.inner(r, r)[:, 0, 0], prior, pull, np.zeros(0))
 
-    def holding(self, hypothesis: H, columns: Rows, about: Array | None = None) -> LinearModel[H]:
-        """The same with one hypothesis more; the residual is that about its amounts `about`, by default zero."""
-        std = np.array(hypothesis.std)
+    def holding(self, hypothesis: H, columns: Array, about: Array | None = None) -> LinearModel[H]:
+        """The same with one hypothesis more, of columns (R, d); the residual is that about its amounts `about`, by
+        default zero."""
+        std, inner = np.array(hypothesis.std), self.layout.inner
         amount = np.zeros(len(std)) if about is None else about
-        cross = self.nuisances.inner(columns)
+        cross = inner(self.nuisances, columns)
         P = len(self.prior)
         prior = np.zeros((P + len(std), P + len(std)))
         prior[:P, :P], prior[P:, P:] = self.prior, np.diag(std**-2.0)
         return replace(
-            self, nuisances=self.nuisances.beside(columns),
-            products=np.block([[self.products, cross], [np.swapaxes(cross, 1, 2), columns.inner(columns)]]),
-            scores=np.concatenate([self.scores, columns.inner(self.residual)[:, :, 0]], axis=1), prior=prior,
+            self, nuisances=np.hstack([self.nuisances, columns]),
+            products=np.block([[self.products, cross], [np.swapaxes(cross, 1, 2), inner(columns, columns)]]),
+            scores=np.concatenate([self.scores, inner(columns, self.residual[:, None])[:, :, 0]], axis=1), prior=prior,
             pull=np.append(self.pull, -amount / std**2), about=np.append(self.about, amount),
             constant=self.constant - float(np.sum(np.log(std)) + 0.5 * np.sum((amount / std) ** 2)))
 
     @cached_property
     def fit(self) -> Fit:
         """Most probable nuisances; variances by restricted maximum likelihood, weakly believed to be as stated."""
-        members = [np.flatnonzero(self.cells.group == g) for g in range(int(np.max(self.cells.group)) + 1)]
-        products, scores, squares, count = (np.array([np.sum(each[own], axis=0) for own in members]) for each in (
-            self.products, self.scores, self.squares, self.cells.rows))
-        variance = np.ones(len(members))
+        products, scores, squares, count = self.products, self.scores, self.squares, self.layout.count
+        variance = np.ones(len(count))
         for _ in range(20):  # steps shrink by half or more; what is left changes no nat
             weight = 1 / variance
             information = np.tensordot(weight, products, 1) + self.prior
@@ -255,22 +247,22 @@ class LinearModel(Generic[H]):
         own = np.arange(d) + len(fit.x) - held + place
         amount, covariance = self.about[place : place + d] + fit.x[own], fit.covariance[np.ix_(own, own)]
         # what is left of its columns beside all others, times the amounts, and its products with the residual
-        alone = fit.covariance[:, own] @ np.linalg.solve(covariance, amount)
-        weight = 1 / fit.variance[self.cells.group]
-        product = self.products @ alone
-        expected, scatter = (np.bincount(self.cells.block, weight * each).astype(float)
-                             for each in (product @ alone, self.scores @ alone - product @ fit.x))
+        alone = self.nuisances @ (fit.covariance[:, own] @ np.linalg.solve(covariance, amount))
+        weighted = alone / fit.variance[self.layout.group]
+        expected, scatter = (np.bincount(self.layout.block, weighted * each).astype(float)
+                             for each in (alone, self.residual - self.nuisances @ fit.x))
         P = len(fit.x) - held
         return Found(hypothesis, amount, covariance, fit.evidence - without.fit.evidence,
                      _agreement(expected, scatter), fit.x[:P] - without.fit.x[:P])
 
-    def screened(self, hypotheses: Sequence[H], columns: Rows) -> Array:
-        """Log Bayes factor (k,) of each hypothesis alone, by columns side by side, at the variances without it."""
+    def screened(self, hypotheses: Sequence[H], columns: Array) -> Array:
+        """Log Bayes factor (k,) of each hypothesis alone, by columns (R, …) side by side, at the variances without it.
+        """
         return np.array([0.5 * (toward @ np.linalg.solve(np.eye(len(toward)) + information, toward)
                                 - np.linalg.slogdet(np.eye(len(toward)) + information)[1])
                          for information, toward in self._alone(hypotheses, columns)])
 
-    def smallest(self, hypotheses: Sequence[H], columns: Rows) -> list[float]:
+    def smallest(self, hypotheses: Sequence[H], columns: Array) -> list[float]:
         """Size [SI] of each that would have been shown with a probability of 95 %, along its best visible direction."""
         made = []
         for each, (information, _) in zip(hypotheses, self._alone(hypotheses, columns), strict=True):
@@ -279,27 +271,25 @@ class LinearModel(Generic[H]):
             made.append(float((np.sqrt(drop) + NORMAL) / np.sqrt(best) * np.max(each.std)))
         return made
 
-    def _alone(self, hypotheses: Sequence[H], columns: Rows) -> Iterator[tuple[Array, Array]]:
+    def _alone(self, hypotheses: Sequence[H], columns: Array) -> Iterator[tuple[Array, Array]]:
         """Information (d, d) about each hypothesis' amounts over their stds, and its part of the residual (d,)."""
-        weight = 1 / self.fit.variance[self.cells.group]
-        cross = np.tensordot(weight, self.nuisances.inner(columns), 1)
-        toward = weight @ columns.inner(self.residual)[:, :, 0] - cross.T @ self.fit.x
+        weighted = columns / self.fit.variance[self.layout.group, None]
+        cross = self.nuisances.T @ weighted
+        known, toward = self.fit.covariance @ cross, weighted.T @ self.residual - cross.T @ self.fit.x
         first = 0
         for each in hypotheses:
             std, own = np.array(each.std), slice(first, first + len(each.std))
-            yield np.outer(std, std) * self._information(columns[own], cross[:, own]), std * toward[own]
+            information = columns[:, own].T @ weighted[:, own] - cross[:, own].T @ known[:, own]
+            yield np.outer(std, std) * information, std * toward[own]
             first += len(std)
 
-    def _information(self, columns: Rows, cross: Array) -> Array:
-        weight = 1 / self.fit.variance[self.cells.group]
-        return np.asarray(np.tensordot(weight, columns.inner(columns), 1) - cross.T @ self.fit.covariance @ cross)
-
-    def correlation(self, one: Rows, other: Rows) -> float:
+    def correlation(self, one: Array, other: Array) -> float:
         """Largest correlation of two hypotheses' effects beside the nuisances: near 1, these data do not separate them.
         """
-        both, k = one.beside(other), one.values.shape[1]
-        weight = 1 / self.fit.variance[self.cells.group]
-        table = self._information(both, np.tensordot(weight, self.nuisances.inner(both), 1))
+        both, k = np.hstack([one, other]), one.shape[1]
+        weighted = both / self.fit.variance[self.layout.group, None]
+        cross = self.nuisances.T @ weighted
+        table = both.T @ weighted - cross.T @ self.fit.covariance @ cross
         roots = [np.linalg.pinv(np.linalg.cholesky(part + 1e-12 * np.trace(part) * np.eye(len(part))))
                  for part in (table[:k, :k], table[k:, k:])]
         return float(np.linalg.norm(roots[0] @ table[:k, k:] @ roots[1].T, 2))
@@ -321,8 +311,8 @@ class Readings(Protocol[H]):
     def model(self, held: Sequence[tuple[H, Array]]) -> LinearModel[H]:
         """The model about these."""
 
-    def columns(self, hypotheses: Sequence[H], held: Sequence[tuple[H, Array]]) -> Rows:
-        """Columns of other hypotheses there, about amounts of zero, side by side."""
+    def columns(self, hypotheses: Sequence[H], held: Sequence[tuple[H, Array]]) -> Array:
+        """Columns (R, …) of other hypotheses there, about amounts of zero, side by side."""
 
 
 def name(data: Readings[H], candidates: Sequence[H]) -> tuple[Found[H], ...]:
@@ -337,7 +327,9 @@ def name(data: Readings[H], candidates: Sequence[H]) -> tuple[Found[H], ...]:
         found = judged(data, [*found, step])
         while lost := [each for each in found if not each.shown(len(candidates))]:
             found = judged(data, [each for each in found if each is not min(lost, key=lambda one: one.evidence)])
-    return tuple(found)
+    named = {id(each.hypothesis) for each in found}  # what holds beside it is no rival
+    return tuple(replace(each, rivals=tuple(one for one in each.rivals if id(one.hypothesis) not in named))
+                 for each in found)
 
 
 def judged(data: Readings[H], found: Sequence[Found[H]]) -> list[Found[H]]:
@@ -358,7 +350,7 @@ def _leading(data: Readings[H], candidates: Sequence[H], found: Sequence[Found[H
     held = [(each.hypothesis, each.amount) for each in found]
     model, columns = data.model(held), data.columns(candidates, held)
     screened, places = model.screened(candidates, columns), np.cumsum([0, *(len(each.std) for each in candidates)])
-    close = [model.holding(candidates[k], columns[places[k] : places[k + 1]]).found(candidates[k], model)
+    close = [model.holding(candidates[k], columns[:, places[k] : places[k + 1]]).found(candidates[k], model)
              for k in np.argsort(-screened)[:CLOSE].tolist() if screened[k] > LEVEL]
     exact = {id(each.hypothesis) for each in close if each.hypothesis.linear}
     while True:

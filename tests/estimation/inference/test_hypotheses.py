@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from hydroopt.estimation.inference.hypotheses import BELIEF, Cells, Hypothesis, LinearModel, Rows, name
+from hydroopt.estimation.inference.hypotheses import BELIEF, Hypothesis, Layout, LinearModel, name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,34 +32,32 @@ class Column(Hypothesis["Drawn"]):
 
 @dataclass
 class Drawn:
-    """Nuisances N with a prior, readings, and cells."""
+    """Nuisances N with a prior, readings, and what they belong to."""
 
     N: np.ndarray
     readings: np.ndarray
     prior: np.ndarray
-    edges: Sequence[int]
-    cells: Cells
+    layout: Layout
 
     def model(self, held: Sequence[tuple[Column, np.ndarray]]) -> LinearModel[Column]:
         left = self.readings - sum((each.effect(amount) for each, amount in held), np.zeros(len(self.readings)))
-        made = LinearModel[Column].of(Rows(self.N, self.edges), Rows(left[:, None], self.edges), self.prior,
-                                      np.zeros(len(self.prior)), self.cells)
+        made = LinearModel[Column].of(self.N, left, self.layout, self.prior, np.zeros(len(self.prior)))
         for each, amount in held:
-            made = made.holding(each, Rows(each.columns(self, amount), self.edges), amount)
+            made = made.holding(each, each.columns(self, amount), amount)
         return made
 
-    def columns(self, hypotheses: Sequence[Column], held: Sequence[tuple[Column, np.ndarray]]) -> Rows:
-        return Rows(np.hstack([each.columns(self, np.zeros(len(each.std))) for each in hypotheses]), self.edges)
+    def columns(self, hypotheses: Sequence[Column], held: Sequence[tuple[Column, np.ndarray]]) -> np.ndarray:
+        return np.hstack([each.columns(self, np.zeros(len(each.std))) for each in hypotheses])
 
 
 def drawn(rng: np.random.Generator, rows: int = 60, noise: Sequence[float] = (1.0, 1.0)) -> Drawn:
     """Two groups of rows in every block, with noise of their own."""
     blocks = 8
-    cells = Cells(np.repeat(np.arange(blocks), 2), np.tile([0, 1], blocks), np.full(2 * blocks, rows / 2))
-    edges = (np.arange(2 * blocks + 1) * (rows // 2)).tolist()
-    N = rng.normal(size=(edges[-1], 5))
-    sigma = np.repeat(np.array(noise)[cells.group], rows // 2)
-    return Drawn(N, N @ rng.normal(size=5) + sigma * rng.normal(size=edges[-1]), np.eye(5), edges, cells)
+    group = np.tile(np.repeat([0, 1], rows // 2), blocks)
+    layout = Layout(np.repeat(np.arange(blocks), 2 * (rows // 2)), group, np.full(2, blocks * (rows / 2)))
+    N = rng.normal(size=(len(group), 5))
+    sigma = np.array(noise)[group]
+    return Drawn(N, N @ rng.normal(size=5) + sigma * rng.normal(size=len(group)), np.eye(5), layout)
 
 
 def columns(rng: np.random.Generator, data: Drawn, count: int, d: int = 1) -> list[Column]:
@@ -78,14 +76,14 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods() -> None:
 
     def density(model: LinearModel[Column], V: np.ndarray) -> float:
         s = model.fit.variance
-        V = V + np.diag(np.repeat(s[data.cells.group], np.diff(data.edges)))
+        V = V + np.diag(s[data.layout.group])
         return float(multivariate_normal.logpdf(data.readings, np.zeros(len(V)), V)
                      - 0.5 * BELIEF * np.sum(np.log(s) + 1 / s))
 
     V = data.N @ data.N.T
     expected = density(with_it, V + 0.25 * one.values @ one.values.T) - density(without, V)
     assert found.evidence == pytest.approx(expected, rel=1e-6)
-    weight = np.repeat(1 / with_it.fit.variance[data.cells.group], np.diff(data.edges))
+    weight = 1 / with_it.fit.variance[data.layout.group]
     stack = np.hstack([data.N, one.values])
     information = stack.T @ (weight[:, None] * stack) + np.diag([1.0] * 5 + [4.0] * 2)
     x = np.linalg.solve(information, stack.T @ (weight * data.readings))
@@ -93,7 +91,7 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods() -> None:
     np.testing.assert_allclose(found.covariance, np.linalg.inv(information)[5:, 5:], rtol=1e-8)
     np.testing.assert_allclose(found.shift, x[:5] - without.fit.x, rtol=1e-6)
     assert found.moves(np.eye(5), np.full(5, 0.1)) == pytest.approx(10 * np.max(np.abs(found.shift)))
-    assert without.screened([one], Rows(one.values, data.edges))[0] == pytest.approx(found.evidence, abs=2.0)
+    assert without.screened([one], one.values)[0] == pytest.approx(found.evidence, abs=2.0)
 
 
 def test_variances_are_those_of_the_groups_and_never_below_the_stated() -> None:
@@ -147,8 +145,8 @@ def test_data_that_do_not_separate_hypotheses_name_both() -> None:
     (found,) = name(data, [one, near])
     assert {found.hypothesis.name, *(each.hypothesis.name for each in found.rivals)} == {"h0", "near"}
     model = data.model([])
-    assert model.correlation(Rows(one.values, data.edges), Rows(near.values, data.edges)) > 0.99
-    assert model.correlation(Rows(one.values, data.edges), Rows(other.values, data.edges)) < 0.3
+    assert model.correlation(one.values, near.values) > 0.99
+    assert model.correlation(one.values, other.values) < 0.3
 
 
 def test_the_smallest_size_that_shows_shows_in_nearly_all_data() -> None:

@@ -68,7 +68,7 @@ class Freed:
         model = ForceReadings(problem, psi).model(_held(self.faults, self.size))
         x = np.zeros(len(model.prior))
         x[: len(psi)] = psi - problem.parameters.nominal
-        weight, own = 1 / model.fit.variance[model.cells.group], slice(-len(self.size), None)
+        weight, own = 1 / model.fit.variance, slice(-len(self.size), None)
         products = np.tensordot(weight, model.products[:, own], 1) + model.prior[own]
         return replace(self, size=self.size + np.linalg.solve(
             products[:, own], weight @ model.scores[:, own] + model.pull[own] - products @ x))

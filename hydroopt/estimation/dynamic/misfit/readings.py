@@ -20,7 +20,7 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.misfit.hypotheses import Fault, one_after_another
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.inference.hypotheses import Cells, LinearModel, Rows
+from hydroopt.estimation.inference.hypotheses import Layout, LinearModel
 from hydroopt.logs.lag import stretches
 from hydroopt.logs.smoothing import Motion
 from hydroopt.spatial.inertia import Array
@@ -146,16 +146,16 @@ class ForceReadings:
                       for view, K in zip(self.views, regressors, strict=True)]
             left = [(view.residual + K @ self.from_nominal - effect)[:, :, None]
                     for view, K, effect in zip(self.views, regressors, effects, strict=True)]
-            model = LinearModel[Fault].of(self._rows(beside, taken), self._rows(left, taken), self.prior, self.pull,
-                                          self.cells(taken))
+            model = LinearModel[Fault].of(self._rows(beside, taken), self._rows(left, taken)[:, 0], self._layout(taken),
+                                          self.prior, self.pull)
             for (fault, size), (plain, _) in zip(chosen, key, strict=True):
                 columns = [fault.columns(view, np.array([size])) for view in self.views]
                 model = model.holding(plain, self._rows(columns, taken), np.array([size]))
             self._models[key] = model
         return self._models[key]
 
-    def columns(self, hypotheses: Sequence[Fault], held: Sequence[tuple[Fault, Array]]) -> Rows:
-        """Columns of other hypotheses there, about amounts of zero, side by side."""
+    def columns(self, hypotheses: Sequence[Fault], held: Sequence[tuple[Fault, Array]]) -> Array:
+        """Columns (R, k) of other hypotheses there, about amounts of zero, side by side."""
         taken = self._taken([(each, float(amount[0])) for each, amount in held])
         return self._rows([np.concatenate([each.columns(view, np.zeros(1)) for each in hypotheses], axis=2)
                            for view in self.views], taken)
@@ -165,13 +165,15 @@ class ForceReadings:
         return [view.taken & ~np.any([view.reverses, *(fault.unsteady(view, size) for fault, size in held)], axis=0)
                 for view in self.views]
 
-    def cells(self, taken: Sequence[NDArray[np.bool_]]) -> Cells:
-        """Block, reading with band, and number of rows."""
-        c = len(self.names)
-        group = np.tile(np.arange(c * BANDS), len(self.blocks))
-        rows = [np.diff(self._edges(block)) * np.mean(taken[block.view][block.first : block.last, k])
-                for block in self.blocks for k in range(c)]
-        return Cells(np.repeat(np.arange(len(self.blocks)), c * BANDS), group, np.concatenate(rows))
+    def _layout(self, taken: Sequence[NDArray[np.bool_]]) -> Layout:
+        """Blocks; groups, a band of a reading each; numbers of coefficients, of which samples left out count none.
+        """
+        c, sizes = len(self.names), np.array([np.diff(self._edges(block)) for block in self.blocks])
+        used = [np.mean(taken[block.view][block.first : block.last], axis=0) for block in self.blocks]
+        rows = np.tile(sizes.T.ravel(), c)  # reading by reading, band by band, block by block
+        return Layout(np.repeat(np.tile(np.arange(len(self.blocks)), c * BANDS), rows),
+                      np.repeat(np.repeat(np.arange(c * BANDS), len(self.blocks)), rows),
+                      np.ravel(np.transpose(used) @ sizes))
 
     def _edges(self, block: Block) -> NDArray[np.intp]:
         """First coefficient of each band, and one after the last: coefficient k has k half waves."""
@@ -197,20 +199,18 @@ class ForceReadings:
                 count[:, b] += (end - first) * np.mean(view.taken[block.first : block.last], axis=0)
         return np.asarray(np.sqrt(noise[:, None] ** 2 + squares / np.maximum(count, 1.0)))
 
-    def _rows(self, of_views: Sequence[Array], taken: Sequence[NDArray[np.bool_]]) -> Rows:
-        """Whitened rows of readings (N, c, k) of every view, cell by cell."""
-        parts: list[Array] = []
-        for block in self.blocks:
-            turned, edges = self._turned(of_views[block.view], block, taken[block.view]), self._edges(block)
-            parts += [turned[first:end, k] / self.floor[k, b] for k in range(len(self.names))
-                      for b, (first, end) in enumerate(pairwise(edges.tolist()))]
-        return Rows(np.vstack(parts), np.cumsum([0, *map(len, parts)]).tolist())
+    def _rows(self, of_views: Sequence[Array], taken: Sequence[NDArray[np.bool_]]) -> Array:
+        """Whitened rows (R, k) of readings (N, c, k) of every view, in the order of the layout."""
+        turned = [self._turned(of_views[block.view], block, taken[block.view]) for block in self.blocks]
+        edges = [self._edges(block) for block in self.blocks]
+        return np.vstack([one[at[b] : at[b + 1], k] / self.floor[k, b] for k in range(len(self.names))
+                          for b in range(BANDS) for one, at in zip(turned, edges, strict=True)])
 
     def excess(self, model: LinearModel[Fault]) -> dict[str, tuple[float, float]]:
         """By reading: RMS of residuals as a multiple of what noise and the motion explain, and the frequency [Hz] about
         which most of what is beyond stands."""
         variance = model.fit.variance.reshape(len(self.names), BANDS)
-        count = np.bincount(model.cells.group, model.cells.rows).reshape(variance.shape)
+        count = model.layout.count.reshape(variance.shape)
         expected = count * self.floor**2
         ratio = np.sqrt(np.sum(expected * variance, axis=1) / np.maximum(np.sum(expected, axis=1), 1e-300))
         hertz = 0.75 * LOWEST * 2.0 ** np.argmax(expected * (variance - 1), axis=1)
