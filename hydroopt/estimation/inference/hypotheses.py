@@ -116,6 +116,7 @@ class Found(Generic[H]):
         amount, covariance: (d,) and (d, d) of its amounts [SI] after the data.
         evidence: log Bayes factor against its absence [nats].
         agreement: p-value of its absence by the scatter of the blocks' evidence alone.
+        elsewhere: part of the evidence that is not that of the block which shows it most.
         shift: (P,) by which the nuisances move if it is corrected.
         rivals: hypotheses that explain as much, the best first.
     """
@@ -125,6 +126,7 @@ class Found(Generic[H]):
     covariance: Array
     evidence: float
     agreement: float
+    elsewhere: float
     shift: Array
     rivals: tuple[Found[H], ...] = ()
 
@@ -148,12 +150,14 @@ class Found(Generic[H]):
         """Largest shift of stated sums (m, P) of the nuisances, over the half widths (m,) of their 95 % intervals."""
         return float(np.max(np.abs(sums @ self.shift) / width, initial=0.0))
 
-    def shown(self, tried: int) -> bool:
-        """Whether the data show it, where so many were tried: the one rule of decision."""
+    def shown(self, tried: Sequence[H]) -> bool:
+        """Whether the data show it, where these were tried, of which some share its name: the one rule of decision."""
+        alike = sum(each.name == self.hypothesis.name for each in tried)
         within = np.all(np.abs(self.amount) <= RANGE * np.array(self.hypothesis.std))
         sign = not self.hypothesis.positive or self.size > 0
-        agree = self.hypothesis.local or self.agreement < AGREEMENT
-        return bool(within and sign and agree and self.evidence > needed(tried))
+        agree = self.hypothesis.local or (
+            self.agreement < AGREEMENT / alike and self.evidence * self.elsewhere > LEVEL)
+        return bool(within and sign and agree and self.evidence > needed(len(tried)))
 
 
 def needed(tried: int) -> float:
@@ -251,9 +255,10 @@ class LinearModel(Generic[H]):
         weighted = alone / fit.variance[self.layout.group]
         expected, scatter = (np.bincount(self.layout.block, weighted * each).astype(float)
                              for each in (alone, self.residual - self.nuisances @ fit.x))
+        elsewhere = 1 - float(np.max(expected)) / max(float(np.sum(expected)), 1e-300)
         P = len(fit.x) - held
         return Found(hypothesis, amount, covariance, fit.evidence - without.fit.evidence,
-                     _agreement(expected, scatter), fit.x[:P] - without.fit.x[:P])
+                     _agreement(expected, scatter), elsewhere, fit.x[:P] - without.fit.x[:P])
 
     def screened(self, hypotheses: Sequence[H], columns: Array) -> Array:
         """Log Bayes factor (k,) of each hypothesis alone, by columns (R, …) side by side, at the variances without it.
@@ -322,10 +327,10 @@ def name(data: Readings[H], candidates: Sequence[H]) -> tuple[Found[H], ...]:
     """
     found: list[Found[H]] = []
     left = list(candidates)
-    while len(found) < MOST and (step := _leading(data, left, found, len(candidates))) is not None:
+    while len(found) < MOST and (step := _leading(data, left, found, candidates)) is not None:
         left.remove(step.hypothesis)
         found = judged(data, [*found, step])
-        while lost := [each for each in found if not each.shown(len(candidates))]:
+        while lost := [each for each in found if not each.shown(candidates)]:
             found = judged(data, [each for each in found if each is not min(lost, key=lambda one: one.evidence)])
     named = {id(each.hypothesis) for each in found}  # what holds beside it is no rival
     return tuple(replace(each, rivals=tuple(one for one in each.rivals if id(one.hypothesis) not in named))
@@ -345,7 +350,8 @@ def judged(data: Readings[H], found: Sequence[Found[H]]) -> list[Found[H]]:
             for k, each in enumerate(found)]
 
 
-def _leading(data: Readings[H], candidates: Sequence[H], found: Sequence[Found[H]], tried: int) -> Found[H] | None:
+def _leading(data: Readings[H], candidates: Sequence[H], found: Sequence[Found[H]],
+             tried: Sequence[H]) -> Found[H] | None:
     """The likeliest hypothesis beside those found, with its rivals, if the data show it."""
     held = [(each.hypothesis, each.amount) for each in found]
     model, columns = data.model(held), data.columns(candidates, held)

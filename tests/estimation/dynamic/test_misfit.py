@@ -115,14 +115,17 @@ def late(log: Log, samples: int) -> Log:
                                   else x for name, x in log.channels.items()})
 
 
-def test_errors_with_a_memory_are_a_note_with_their_frequency(crane: Model, sound: Log) -> None:
+@pytest.mark.parametrize("duration", [60.0, pytest.param(30.0, marks=pytest.mark.xfail(
+    strict=True, reason="blocks of 4 s are not long against a memory of 2 s: a load seems to be put down"))])
+def test_errors_with_a_memory_are_a_note_with_their_frequency(crane: Model, duration: float) -> None:
+    log = simulate(crane, random_trajectory(crane, duration=duration, rate=50.0, seed=3), random_truth(crane, 3), seed=3)
     rng, kept = np.random.default_rng(2), np.exp(-1 / (2.0 * 50.0))
-    slow = np.zeros((2, sound.size))
-    for k in range(1, sound.size):
+    slow = np.zeros((2, log.size))
+    for k in range(1, log.size):
         slow[:, k] = kept * slow[:, k - 1] + np.sqrt(1 - kept**2) * rng.normal(size=2)
-    pressures = [name for name in sound.channels if ".p_" in name]
-    log = replace(sound, channels=sound.channels | {
-        name: sound.channels[name] + 3 * crane.machine.sensor(name).std * slow[k] for k, name in enumerate(pressures)})
+    pressures = [name for name in log.channels if ".p_" in name]
+    log = replace(log, channels=log.channels | {
+        name: log.channels[name] + 3 * crane.machine.sensor(name).std * slow[k] for k, name in enumerate(pressures)})
     estimate = identify(identification_problem(crane, [log]), intervals=False)
     (found,) = of_kind(estimate.diagnostics, "lack of fit")
     assert found.evidence["hertz"] < 0.5

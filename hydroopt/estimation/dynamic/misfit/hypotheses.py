@@ -42,8 +42,8 @@ KNOWN = {"viscous": ParameterKind.VISCOUS_FRICTION, "coulomb": ParameterKind.COU
 """Kinds of parameters of a model that has such friction."""
 REVERSALS = 4
 """How often the times are found again at which a joint with play reverses."""
-PICKED_UP = np.linspace(0, 1, 13)[1:-1]
-"""Parts of a log after which a load may be picked up or put down."""
+PICKED_UP = np.linspace(0, 1, 13)[2:-2]
+"""Parts of a log after which a load may be picked up or put down: more than one of its blocks has to show it."""
 
 
 @dataclass(frozen=True, kw_only=True)
