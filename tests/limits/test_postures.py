@@ -175,7 +175,7 @@ channels = ["floor.tip.z"]
 accuracy = "5 mm"
 ''')
     plan = planned(machine)
-    touching = plan.labels.touch != ""
+    touching = plan.driven.touch != ""
     assert touching.any()
     for q, touches in zip(plan.q, touching, strict=True):
         room = least(machine, q)

@@ -37,7 +37,7 @@ def random_candidates(problem: PoseProblem, count: int, rng: np.random.Generator
         q, out = candidate_postures(problem, group, count, rng)
         drawn.append(q)
         left_out = left_out.with_more(out)
-    return Postures(problem, np.concatenate(drawn), problem.labels(count)), left_out
+    return Postures(problem, np.concatenate(drawn)), left_out
 
 
 def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
