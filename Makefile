@@ -2,8 +2,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-# the workers fill the cores
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
+# the workers fill the cores, and the many processes read what one has compiled, whatever the environment says
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/pytest
 
 .PHONY: demo test tests test-tools test-all lint docs studies studies-quick fuzz kills bench wheel clean
 

@@ -7,6 +7,7 @@ import re
 from functools import cache
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -75,13 +76,36 @@ def name_of(file: Path) -> str:
     return ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
 
 
+class Source(NamedTuple):
+    """What a module's syntax tree says; the trees themselves are millions of objects, which each collection walks.
+
+    Attributes:
+        imports: dotted names imported anywhere, inside functions too.
+        at_run_time: those imported when it runs, not for the type checker alone.
+        names: of all it defines, calls or reads.
+    """
+
+    imports: set[str]
+    at_run_time: set[str]
+    names: set[str]
+
+
 @cache
-def modules() -> dict[str, ast.Module]:
-    return {name_of(file): ast.parse(file.read_text("utf-8")) for file in sorted(PACKAGE.rglob("*.py"))}
+def modules() -> dict[str, Source]:
+    return {name_of(file): source(ast.parse(file.read_text("utf-8"))) for file in sorted(PACKAGE.rglob("*.py"))}
+
+
+def source(tree: ast.Module) -> Source:
+    """What a tree says."""
+    nodes = list(ast.walk(tree))
+    checked = [node for node in nodes if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    named = {getattr(node, key, None) for node in nodes for key in ("attr", "id", "name")}
+    return Source(imports(tree), imports(tree) - set(chain.from_iterable(map(imports, checked))),
+                  {name for name in named if isinstance(name, str)})
 
 
 def imports(tree: ast.AST) -> set[str]:
-    """Dotted names imported anywhere in a module, inside functions too."""
+    """Dotted names imported anywhere below a node, inside functions too."""
     found = [[f"{node.module}.{alias.name}" for alias in node.names] if isinstance(node, ast.ImportFrom) else
              [alias.name for alias in node.names] for node in ast.walk(tree)
              if isinstance(node, ast.Import | ast.ImportFrom)]
@@ -91,7 +115,7 @@ def imports(tree: ast.AST) -> set[str]:
 def inside(module: str) -> set[str]:
     """Modules of hydroopt that a module imports."""
     found = set()
-    for name in imports(modules()[module]):
+    for name in modules()[module].imports:
         parts = name.split(".")
         while parts[0] == "hydroopt" and len(parts) > 1 and ".".join(parts[1:]) not in modules():
             if ".".join([*parts[1:], "__init__"]) in modules():
@@ -131,7 +155,7 @@ def test_no_module_needs_itself() -> None:
 
 
 def test_third_party_libraries_stay_in_quarantine() -> None:
-    foreign = {module: {name.split(".")[0] for name in imports(tree)} for module, tree in modules().items()}
+    foreign = {module: {name.split(".")[0] for name in said.imports} for module, said in modules().items()}
     users = {library: {module for module, names in foreign.items() if library in names} for library in QUARANTINE}
     strays = {f"{module} imports {library}" for library, found in users.items() for module in found
               if not any(f"{module}.".startswith(f"{home}.") for home in QUARANTINE[library])}
@@ -147,25 +171,17 @@ SOLE_CALLERS = {
 
 @pytest.mark.parametrize(("call", "home"), SOLE_CALLERS.items())
 def test_dangerous_calls_stand_in_one_module(call: str, home: str) -> None:
-    named = {module for module, tree in modules().items() for node in ast.walk(tree)
-             if call in (getattr(node, "attr", None), getattr(node, "id", None), getattr(node, "name", None))}
-    assert named == {home}
+    assert {module for module, said in modules().items() if call in said.names} == {home}
 
 
 COMPUTING = ("estimation", "excitation", "control", "model", "simulation", "codegen", "kernels", "parameters")
 """Rooms that compute: a page may name their types for the type checker, but imports none of them when it runs."""
 
-def at_run_time(tree: ast.Module) -> set[str]:
-    """Dotted names that a module imports when it runs, not for the type checker alone."""
-    checked = [node for node in ast.walk(tree)
-               if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    return imports(tree) - set(chain.from_iterable(map(imports, checked)))
-
 
 def test_pages_compute_nothing() -> None:
-    found = {module: {name.removeprefix("hydroopt.") for name in at_run_time(tree)
+    found = {module: {name.removeprefix("hydroopt.") for name in said.at_run_time
                       if name.startswith("scipy") or name.split(".")[:2] in [["hydroopt", room] for room in COMPUTING]}
-             for module, tree in modules().items() if module.startswith("report.")}
+             for module, said in modules().items() if module.startswith("report.")}
     assert not {module: names for module, names in found.items() if names}
 
 

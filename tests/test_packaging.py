@@ -38,8 +38,8 @@ OPTIONAL = {extra: named(each) for extra, each in PROJECT["optional-dependencies
 
 
 def test_every_library_that_is_imported_is_installed_by_the_core_or_by_its_extra() -> None:
-    trees = (ast.parse(file.read_text("utf-8")) for file in (ROOT / "hydroopt").rglob("*.py"))
-    nodes = [node for tree in trees for node in ast.walk(tree)]
+    nodes = [node for file in (ROOT / "hydroopt").rglob("*.py") for node in ast.walk(ast.parse(file.read_text("utf-8")))
+             if isinstance(node, ast.Import | ast.ImportFrom)]
     names = {node.module.split(".")[0] for node in nodes if isinstance(node, ast.ImportFrom) and node.module
              and not node.level} | set(chain.from_iterable(
                  [alias.name.split(".")[0] for alias in node.names] for node in nodes if isinstance(node, ast.Import)))

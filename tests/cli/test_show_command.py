@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import pytest
 from typer.testing import CliRunner
@@ -13,6 +14,7 @@ from hydroopt.cli import app
 WIDTH, LINES = 80, 60
 
 
+@cache
 def shown(*arguments: str, width: int = WIDTH) -> str:
     answer = CliRunner().invoke(app, ["show", *arguments], env={"COLUMNS": str(width)}, catch_exceptions=False)
     assert answer.exit_code == 0

@@ -37,7 +37,7 @@ def test_each_valve_opens_wide_and_little_both_ways(plant: Plant) -> None:
     assert np.mean(active.sum(axis=0) <= 1) > 0.95
 
 
-@pytest.mark.parametrize("seed", [1, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(6, 26))])
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, *range(6, 26)))])
 def test_no_joint_leaves_its_range_whatever_valves_and_bodies(plant: Plant, seed: int) -> None:
     """Machines drawn from the file's confidences; seed 5 is one that runs away fast."""
     log = driven_test(valve_test(plant), random_truth(plant.model, seed), random_numbers(plant, seed), seed=seed)

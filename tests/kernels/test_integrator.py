@@ -94,6 +94,7 @@ def test_implicit_steps_take_inputs_that_change_within_a_piece() -> None:
     np.testing.assert_allclose(states, np.column_stack([np.cos(t[1:]**2 / 2), t[1:]**2 / 2]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_stiff_oscillation_agrees_with_an_implicit_method_of_another_family() -> None:
     """Van der Pol's equation at μ = 1000 alternates between stiff and not; SciPy's Radau is the reference."""
     x, mu = ca.SX.sym("x", 2), ca.SX.sym("mu")

@@ -6,7 +6,20 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from fixtures.closures import crank, made, scissor, six_bar, sleeve, spherical, steering
+from fixtures.closures import (
+    crank,
+    five_bar,
+    geared,
+    made,
+    scissor,
+    six_bar,
+    sleeve,
+    spherical,
+    steering,
+    telescope,
+    tripod,
+)
+from hydroopt.machine import range_checks
 from hydroopt.machine.closures import closures
 from hydroopt.machine.general_loops import GeneralAssembly, closure_equations
 from hydroopt.machine.geometry import Geometry
@@ -20,17 +33,23 @@ KINDS = {crank: ["slider"], sleeve: ["slider"], scissor: ["slider", "dyad", "sli
          steering: ["general", "general"], spherical: ["general"]}
 
 
-@pytest.mark.parametrize(("machine", "kinds"), [(each(), kinds) for each, kinds in KINDS.items()],
-                         ids=[each.__name__ for each in KINDS])
-def test_structure_tells_which_loops_have_a_closed_form(machine, kinds):
+@pytest.mark.parametrize(("make", "kinds"), KINDS.items(), ids=[each.__name__ for each in KINDS])
+def test_structure_tells_which_loops_have_a_closed_form(make, kinds):
+    machine = make()
     found = closures(machine.links, machine.loops)
     assert [("dyad" if machine.turns(each.joints[1]) else "slider") if each.planar else "general"
             for each in found] == kinds
     assert read_machine(dump_machine(machine)) == machine
 
 
-@pytest.mark.parametrize("machine", [six_bar(), steering(), spherical()], ids=lambda each: each.name)
-def test_newtons_steps_close_loops_to_rounding_over_the_whole_range(machine):
+@pytest.mark.parametrize("make", [telescope, geared, five_bar, tripod])
+def test_loops_and_couplings_that_follow_several_joints_close_over_their_ranges(make):
+    range_checks.check(make())
+
+
+@pytest.mark.parametrize("make", [six_bar, steering, spherical])
+def test_newtons_steps_close_loops_to_rounding_over_the_whole_range(make):
+    machine = make()
     mechanism, geometry, rng = Mechanism(machine), Geometry(machine), np.random.default_rng(3)
     for assembly in mechanism.assemblies:
         assert isinstance(assembly, GeneralAssembly)
@@ -120,7 +139,8 @@ FREE = {"dependent": False, "lower": -1.0, "upper": 1.0}
 def test_what_cannot_be_is_refused(machine, parts, what):
     stated = machine().model_dump(exclude={"links", "name"}) | parts
     with pytest.raises((ImpossibleError, ValidationError)) as caught:
-        made("wrong", stated.pop("links", None) or [link.model_dump() for link in machine().links], **stated)
+        range_checks.check(
+            made("wrong", stated.pop("links", None) or [link.model_dump() for link in machine().links], **stated))
     assert re.search(what, str(caught.value)), caught.value
 
 
@@ -130,5 +150,5 @@ def test_a_linkage_that_can_move_by_itself_is_named():
     parts = machine.model_dump(exclude={"links", "name", "loops"})
     loops = edited(machine, one={"closed_by": "ball"})[:1]
     with pytest.raises(ImpossibleError, match="'one' cannot hold rod, plate, bar: they can move while"):
-        made("mobile", joints(machine, lever={"type": "locked", "dependent": False, "friction": {}}), **parts,
-             loops=loops)
+        range_checks.check(made("mobile", joints(machine, lever={"type": "locked", "dependent": False, "friction": {}}),
+                                **parts, loops=loops))

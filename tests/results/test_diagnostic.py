@@ -44,7 +44,8 @@ def stated() -> Iterator[tuple[str, set[str], set[str]]]:
     """
     for file in sorted(Path(hydroopt.__file__).parent.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "Diagnostic.of"):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "of"
+                    and ast.unparse(node.func) == "Diagnostic.of"):
                 continue
             _, _, evidence, *texts = node.args
             if isinstance(evidence, ast.Dict) and None not in evidence.keys:
