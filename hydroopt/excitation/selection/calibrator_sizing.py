@@ -289,12 +289,6 @@ class Sizing:
         return [int(k) for k in np.flatnonzero(self.calibration.free)]
 
     @cached_property
-    def uncertain(self) -> Array:
-        """(p,) standard deviations of the geometry; zero of what is exact."""
-        parameters = self.problem.model.parameters
-        return np.where([name in self.problem.fixed for name in parameters.names], 0.0, parameters.scale)
-
-    @cached_property
     def rows(self) -> list[ca.Function]:
         """(theta, q) -> transposed white rows (f, u) of each group."""
         groups = len(self.problem.groups)
@@ -328,7 +322,7 @@ class Sizing:
             rest.append(ends.T - machine.ground - self.clearance)
         motion = by_q[:3, postures.sensed_joints(model)]
         rest.append(dexterity(motion) - DEXTERITY)
-        moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.uncertain))
+        moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.problem.uncertain))
         turned = motion.T @ ca.solve(motion @ motion.T, moved)
         rest.append(TURN - REACHED * ca.sqrt(ca.sum2(turned**2) + TINY))
         return ca.Function("bounded", [theta, q], [gap[closes], ca.vertcat(*rest)], ["theta", "q"], ["gap", "rest"])

@@ -137,6 +137,12 @@ combinatorial and has no nonlinear or convex program; use hydroopt.solve.
         return KinematicModel(self.machine)
 
     @cached_property
+    def uncertain(self) -> Array:
+        """(p,) standard deviations of the geometry; zero of what is held."""
+        parameters = self.model.parameters
+        return np.where([name in self.fixed for name in parameters.names], 0.0, parameters.scale)
+
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Channels that are read in each pose."""
         return postures.measured_channels(self.model)
