@@ -11,7 +11,7 @@ import numpy as np
 
 import hydroopt as ho
 from hydroopt.errors import HydrooptError
-from studies.verdicts.kinds import Kind, kind
+from studies.verdicts.kinds import OTHER_FRICTION, Kind, kind
 from studies.verdicts.machines import COM as COM_SIGMA
 from studies.verdicts.machines import FRICTION, INERTIA, MACHINES, MASS, Array, Truth, machine_file
 from studies.verdicts.plant import plant
@@ -49,7 +49,6 @@ def case(machine: str, name: str, size: int, seed: int, motion: int | None = Non
     row |= {"status": status, "cpu_s": round(time.process_time() - began, 2), "error": error}
     row["contradictions"] = [_said(each) for each in diagnostics if each.contradicts]
     row["notes"] = [_said(each) for each in diagnostics if not each.contradicts and each.evidence.get("fault")]
-    row["named"] = _named(row["contradictions"], error, own)
     if estimate is not None:
         row["first_line"] = estimate.verdict.cause
         row |= _bounds(truth, own, stated, estimate, claims, train, unseen)
@@ -64,14 +63,15 @@ def _said(each: Any) -> dict[str, Any]:
             "text": each.text[:200]}
 
 
-def _named(said: list[dict[str, Any]], error: str, own: Kind) -> str:
+def named(row: dict[str, Any]) -> str:
     """Whether the cause that is named first, or is tied with it, is right; wrong; or none."""
+    own, said = kind(MACHINES[row["machine"]], row["kind"], row["size"]), row["contradictions"]
     for each in said:
         if each["fault"]:
             right = any(name.startswith(word) for name in (each["fault"], *each["tied"]) for word in own.named)
             return "right" if right else "wrong"
     words = [word for name in own.named for word in SAID_IN_WORDS.get(name.partition(" ")[0], ())]
-    text = " ".join([error, *(f"{each['kind']} {each['text']}" for each in said)]).lower()
+    text = " ".join([row["error"], *(f"{each['kind']} {each['text']}" for each in said)]).lower()
     return "right" if any(word in text for word in words) else "none"
 
 
@@ -175,7 +175,9 @@ def _witness(truth: Truth, own: Kind, seed: int, train: Recording, row: dict[str
             if key in known:
                 psi[known.index(key)] += value * amount
     half = 1.96 * estimate.base_std
-    moved = np.max(np.abs(base.grouping @ psi) / half)
+    counted = [row["kind"] not in OTHER_FRICTION or not known[k].endswith(("_coulomb", "_viscous"))
+               for k in base.basis]
+    moved = np.max((np.abs(base.grouping @ psi) / half)[counted])
     forces = np.sqrt(np.mean((X @ shift) ** 2, axis=0))
     bounds = {each["of"]: each["bound"] for each in row["claims"] if each["about"] == "reading"}
     of = [bounds.get(truth.actuators[k], bounds.get(joint.name, np.inf)) for k, joint in enumerate(truth.joints)]

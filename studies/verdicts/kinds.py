@@ -53,7 +53,7 @@ SIZES: dict[str, tuple[tuple[float, float, float], str]] = {
     "drift": ((0.02, 0.06, 0.2), "drift {actuator}"),
     "warming_fault": ((0.3, 0.7, 1.4), "warming"),
     "quadratic": ((0.01, 0.03, 0.08), "friction {actuator}"),
-    "bore": ((0.005, 0.015, 0.05), "gain {pressure}"),
+    "bore": ((0.005, 0.015, 0.05), "gain {actuator}.p_"),
     "pin": ((0.005, 0.02, 0.08), "pin {actuator}"),
     "swap": ((1.0, 1.0, 1.0), "exchanged"),
 }

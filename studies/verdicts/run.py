@@ -16,7 +16,7 @@ from scipy.stats import binom
 
 from studies.show import OUT, table
 from studies.verdicts import real
-from studies.verdicts.judge import case
+from studies.verdicts.judge import case, named
 from studies.verdicts.kinds import OTHER_FRICTION, SIZES, SOUND, applies
 from studies.verdicts.machines import MACHINES
 
@@ -49,7 +49,7 @@ def computed(wanted: Sequence[tuple], keep: Path, *, kept_only: bool = False) ->
     kept = {tuple(row["cell"]): row for row in map(json.loads, keep.read_text("utf-8").splitlines())
             } if keep.is_file() else {}
     if kept_only:
-        return [with_intervals(kept[cell]) for cell in wanted if cell in kept]
+        return [with_verdict(kept[cell]) for cell in wanted if cell in kept]
     keep.parent.mkdir(parents=True, exist_ok=True)
     missing = [cell for cell in wanted if cell not in kept]
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool, keep.open("a", encoding="utf-8") as file:
@@ -57,7 +57,7 @@ def computed(wanted: Sequence[tuple], keep: Path, *, kept_only: bool = False) ->
             kept[cell] = row | {"cell": cell}
             file.write(json.dumps(kept[cell]) + "\n")
             file.flush()
-    return [with_intervals(kept[cell]) for cell in wanted]
+    return [with_verdict(kept[cell]) for cell in wanted]
 
 
 def _row(cell: tuple) -> Row:
@@ -66,9 +66,10 @@ def _row(cell: tuple) -> Row:
         return case(*cell)
 
 
-def with_intervals(row: Row) -> Row:
-    """A row with what its normalised errors say of intervals: as many may lie outside as chance puts there in 95 % of
-    runs. Friction counts where it is the model's."""
+def with_verdict(row: Row) -> Row:
+    """A row with whether its fault is named, and with what its normalised errors say of intervals: as many may lie
+    outside as chance puts there in 95 % of runs. Friction counts where it is the model's."""
+    row = row | {"named": named(row)}
     if "z" not in row:
         return row
     counted = [value for name, value in row["z"].items()
