@@ -103,6 +103,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     sound = [row for row in rows if not row["fault"]]
     shown = [row for row in rows if row["fault"] and row["visible"] and row["material"]]
     small = [row for row in rows if row["fault"] and not (row["visible"] and row["material"])]
+    judged = [row for row in small if "true" in row]
     of_kind = {name: [row for row in rows if row["kind"] == name] for name in SOUND}
     outside = {name: sum(abs(row["z"].get(name, 0.0)) > NORMAL for row in sound if "z" in row)
                for name in {name for row in sound for name in row.get("z", ())}}
@@ -125,8 +126,8 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         "faults that show: named rightly": share(shown, lambda row: row["named"] == "right"),
         "faults that show: named wrongly": share(shown, lambda row: row["named"] == "wrong"),
         "other faults": len(small), "other faults: ok": share(small, lambda row: row["status"] == "ok"),
-        "other faults: claims of readings true": share(small, lambda row: row.get("reading_true", False)),
-        "other faults: claims of truth true": share(small, lambda row: row.get("truth_true", False)),
+        "other faults: claims of readings true": share(judged, lambda row: row["reading_true"]),
+        "other faults: claims of truth true": share(judged, lambda row: row["truth_true"]),
         **{f"coverage, {name}": coverage(some) for name, some in of_kind.items() if some}}
 
 
