@@ -102,7 +102,7 @@ INNER = {
     "HydraulicProblem": {"stretches_of"},
     "StatedProblem": {"statements", "requirements", "prior_misfit"},
     "KinematicModel": {"scene_graph", "loop_sines", "place_of", "tip_in_frame"}, "Log": {"pieces", "sampled"},
-    "Model": {"refuse_seals"}, "ParameterTable": {"card_tables"}, "PoseProblem": {"labels"},
+    "Model": {"refuse_seals"}, "ParameterTable": {"card_tables"},
     "Plant": {"integrator", "chamber_pressures", "supply_pressure", "flow_and_contact"}}
 """Methods that solvers and pages call, not users."""
 

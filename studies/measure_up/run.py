@@ -12,7 +12,7 @@ from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.excitation.selection.candidate_postures import Sieve
 from hydroopt.excitation.selection.measure_up import MeasureUpPlan, fewest_readings, measure_up_problem
-from hydroopt.excitation.selection.pose_problem import PoseLabels, PoseProblem, Postures, pose_problem
+from hydroopt.excitation.selection.pose_problem import PoseProblem, Postures, pose_problem
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.pose_table import simulate_poses
@@ -47,8 +47,7 @@ def swings(problem: PoseProblem, count: int, standing: dict[str, float]) -> np.n
 def tip_std(machine: Machine, q: np.ndarray) -> float:
     """Of the tip [m] over the workspace, after the station has seen the edge in postures (N, n)."""
     problem = pose_problem(machine, len(q), priors=True)
-    labels = PoseLabels(*(np.full(len(q), "") for _ in PoseLabels._fields))
-    calibration = Postures(problem, q, labels).calibration
+    calibration = Postures(problem, q, np.zeros(len(q), dtype=int)).calibration
     seen = observability(calibration, linearise(calibration, calibration.parameters.nominal, q))
     _, function = machine_end(problem.model)
     by_g = problem.model.over(function, problem.model.parameters.nominal, workspace(problem.model))[1]

@@ -53,11 +53,14 @@ SIZES: dict[str, tuple[tuple[float, float, float], str]] = {
     "drift": ((0.02, 0.06, 0.2), "drift {actuator}"),
     "warming_fault": ((0.3, 0.7, 1.4), "warming"),
     "quadratic": ((0.01, 0.03, 0.08), "friction {actuator}"),
-    "bore": ((0.005, 0.015, 0.05), "gain {pressure}"),
+    "bore": ((0.005, 0.015, 0.05), "gain {actuator}.p_"),
     "pin": ((0.005, 0.02, 0.08), "pin {actuator}"),
     "swap": ((1.0, 1.0, 1.0), "exchanged"),
 }
 """Faults at three sizes (tilt and zero in degrees, pins in metres), and the names that are right of them."""
+OTHER_FRICTION = (*(name for name in SOUND if name not in ("white", "memory", "bits_jitter")), "warming_fault",
+                  "quadratic")
+"""Kinds in which friction, as it is read, is another than the model's, so that its two numbers have no true value."""
 DEGREES = ("tilt", "zero")
 FIELDS = {"warming_fault": "warming"}
 
@@ -72,8 +75,7 @@ def kind(truth: Truth, name: str, size: int = 0) -> Kind:
     if name in SOUND:
         return Kind(SOUND[name], named=HONEST.get(name, ()))
     sizes, words = SIZES[name]
-    at = next(k for k, joint in enumerate(truth.joints) if joint.drive != "motor" and (k or not joint.drive))
-    joint, actuator = truth.joints[at].name, truth.actuators[at]
+    joint, actuator = truth.joints[truth.first].name, truth.actuators[truth.first]
     reading = f"{actuator}.p_head" if truth.cylinders else actuator
     word = words.format(joint=joint, actuator=actuator, pressure=reading, last=truth.joints[-1].name)
     value = np.radians(sizes[size]) if name in DEGREES else sizes[size]

@@ -104,6 +104,11 @@ class Truth:
     motor: float = 2.0e-3
     """Torque per pressure of a motor with its gear [N·m/Pa]."""
 
+    @property
+    def first(self) -> int:
+        """The first joint that lifts: the boom's or the shoulder's."""
+        return next(k for k, joint in enumerate(self.joints) if joint.drive != "motor" and (k or not joint.drive))
+
     def seat(self, joint: int) -> tuple[float, float]:
         """Offset along x and turn about x, from the link before to a joint."""
         before = self.joints[joint - 1] if joint else None

@@ -68,10 +68,13 @@ def judged(machine: Machine, train: Log, others: list[Log]) -> dict[str, Any]:
             "everywhere": everywhere}
 
 
-def run() -> dict[str, Any]:
-    """By set: how many answers are ok, and how many claims hold in their region and everywhere."""
+def run(*wanted: str) -> dict[str, Any]:
+    """By set (all, or those whose names begin so): how many answers are ok, and how many claims hold in their region
+    and everywhere."""
     results, lines = {}, []
     for name, machine, recorded in logs():
+        if wanted and not name.startswith(wanted):
+            continue
         rows = [judged(machine, log, [other for other in recorded if other is not log]) for log in recorded]
         for row, log in zip(rows, recorded, strict=True):
             part = [sum(np.array(row[of]) <= 1) for of in ("ratios", "everywhere")]

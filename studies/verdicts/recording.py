@@ -64,7 +64,7 @@ class Recording:
 def record(truth: Truth, effects: Effects, seed: int, which: int, seconds: float, motion: int | None = None
            ) -> Recording:
     """The recording of a seed; `which` tells motions of a seed apart, and `motion` is the seed of theirs if given."""
-    first = next(k for k, joint in enumerate(truth.joints) if joint.drive != "motor" and (k or not joint.drive))
+    first = truth.first
     rngs = dict(zip(("motion", "angles", "pressures", "memory", "times"),
                     np.random.default_rng([seed, which]).spawn(5), strict=True))
     if motion is not None:

@@ -17,7 +17,7 @@ from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.calibration import optimum
 from hydroopt.excitation.selection.goals import LoadGoal
 from hydroopt.excitation.selection.measurements import Addition, Measurement, equipped
-from hydroopt.excitation.selection.pose_problem import PoseLabels, Postures, pose_problem
+from hydroopt.excitation.selection.pose_problem import Postures, pose_problem
 from hydroopt.excitation.selection.readings import PostureReadings
 from hydroopt.excitation.selection.what_next import plan_next
 from hydroopt.excitation.selection.what_next_problem import WhatNextProblem, what_next_problem
@@ -154,9 +154,8 @@ def expected(problem: WhatNextProblem, work: Sequence[Work]) -> dict[str, float]
 
 def rows_at(problem: WhatNextProblem, work: Work) -> np.ndarray:
     """Whitened rows (m, f) of readings in postures that are none of the candidates."""
-    readings = problem.postures[0].readings
-    blank = PoseLabels(*(np.full(len(work.q), "") for _ in PoseLabels._fields))
-    there = PostureReadings(Postures(pose_problem(problem.machine, 1, priors=True), work.q, blank), readings)
+    readings, poses = problem.postures[0].readings, pose_problem(problem.machine, 1, priors=True)
+    there = PostureReadings(Postures(poses, work.q, np.zeros(len(work.q), dtype=int)), readings)
     wanted = np.array([each.owner == work.owner or each.kind == "transducer" for each in readings])
     rows = there.rows_of(np.arange(len(work.q)), there.there & wanted)
     made = np.zeros((rows.shape[0] * rows.shape[1], problem.knowledge.geometry))

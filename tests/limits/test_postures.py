@@ -14,7 +14,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.excitation.selection.candidate_postures import in_safe_order
 from hydroopt.excitation.selection.exchange import fedorov_exchange
 from hydroopt.excitation.selection.pose_plan import PosePlan
-from hydroopt.excitation.selection.pose_problem import PoseGroup, pose_problem
+from hydroopt.excitation.selection.pose_problem import PoseGroup, Postures, pose_problem
 from hydroopt.limits.limits import Limits
 from hydroopt.limits.postures import PostureLimits
 from hydroopt.limits.reserves import DEFAULT, Reserves
@@ -130,7 +130,7 @@ def test_other_reserves_are_kept_and_without_limits_postures_dig_into_the_ground
     machine, plan = surveyed()
     q = plan.q.copy()
     q[:2] = [[0.75, 0.3, -1.1, -0.4], [-0.05, 0.3, -1.1, -0.4]]
-    there = replace(plan, q=q)
+    there = replace(plan, driven=Postures(plan.problem, q))
     path = [least(machine, q[0] + s * (q[1] - q[0])) for s in np.linspace(0, 1, 200)]
     assert {"distance of stick to tree"} <= set(there.detours[2])
     assert min(each["stick tree"] for each in path) < 0.3
@@ -175,7 +175,7 @@ channels = ["floor.tip.z"]
 accuracy = "5 mm"
 ''')
     plan = planned(machine)
-    touching = plan.labels.touch != ""
+    touching = plan.driven.touch != ""
     assert touching.any()
     for q, touches in zip(plan.q, touching, strict=True):
         room = least(machine, q)

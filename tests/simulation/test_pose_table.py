@@ -36,7 +36,7 @@ def test_set_ups_and_datums_are_groups_of_a_plan(plan: PosePlan) -> None:
     value = plan.problem.model.over(plan.problem.model.observed, plan.problem.model.parameters.nominal, plan.q,
                                     np.zeros((len(plan.q), plan.problem.model.place_size)))[0][:, :, 0]
     row = plan.problem.model.channels.index("floor.tip.z")
-    np.testing.assert_allclose(value[plan.labels.touch == "floor.tip", row], 0, atol=1e-10)
+    np.testing.assert_allclose(value[plan.driven.touch == "floor.tip", row], 0, atol=1e-10)
 
 
 def test_the_sheet_leaves_empty_what_no_sensor_reads(plan: PosePlan) -> None:
@@ -44,7 +44,7 @@ def test_the_sheet_leaves_empty_what_no_sensor_reads(plan: PosePlan) -> None:
     assert "base_roll.q" not in poses.channels
     assert np.all(np.isnan(poses.channels["station.prism.x"]))
     assert np.all(np.isnan(poses.channels["boom.q"])), "what is planned is no reading"
-    np.testing.assert_array_equal(np.isfinite(poses.channels["floor.tip.z"]), plan.labels.touch == "floor.tip")
+    np.testing.assert_array_equal(np.isfinite(poses.channels["floor.tip.z"]), plan.driven.touch == "floor.tip")
     assert np.all(np.isfinite(drive.channels["base_roll.q"]))
     assert set(drive.setup) == {"A", "B"}
 

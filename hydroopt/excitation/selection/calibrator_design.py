@@ -27,7 +27,7 @@ from hydroopt.excitation.selection.calibrator_sizing import Sized, Sizing
 from hydroopt.excitation.selection.candidate_postures import in_passes
 from hydroopt.excitation.selection.exchange import best_poses
 from hydroopt.excitation.selection.pose_plan import PosePlan
-from hydroopt.excitation.selection.pose_problem import measured_along, pose_problem
+from hydroopt.excitation.selection.pose_problem import Postures, measured_along, pose_problem
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.results.json_file import Job
 from hydroopt.results.readable import readable
@@ -307,8 +307,7 @@ def planned(problem: CalibratorProblem, construction: Construction, sized: Sized
              for (name, target), weight in zip(problem.length_std.items(), shares.weight, strict=True)}
     drifts = any(group.drift for group in base.groups)  # these depend on the order, too
     return CalibratorDesign(
-        base, least, seed, base.labels(problem.count), best_poses(base, q, units=units), search.left_out,
-        construction, values,
+        Postures(base, best_poses(base, q, units=units)), least, seed, search.left_out, construction, values,
         problem.workshop, problem.length_std, problem.least, problem.cost(construction), tried,
         math.nan if drifts else math.sqrt(shares.bound))
 

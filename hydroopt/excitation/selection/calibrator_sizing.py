@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from hydroopt.estimation.inference.ipopt import improved
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -205,11 +204,17 @@ class Sizing:
         return found
 
     def _fitting(self, values: Mapping[str, float], group: PoseGroup, q: Array, aside: float) -> Array:
-        """Of closed postures (N, n) of a group those (K, n) within all limits and their reserves."""
+        """Of closed postures (N, n) of a group those (K, n) that keep limits and reserves, and stay away from limits of
+        free joints, strokes, heights and dexterity by a part `aside` of what they do when sizes are found."""
         if not len(q):
             return q
+        rest = self.bounded.map(len(q))(np.repeat(self.theta(values)[:, None], len(q), axis=1), q.T)[1]
+        low, high = self.problem.model.ranges.T
+        within = np.minimum(q - low, high - q)[:, self._free(group)]
+        fits = np.all(np.asarray(rest) >= aside * ROOM - CLOSE, axis=0) & np.all(
+            within >= aside * ASIDE - CLOSE, axis=1)
         sieve = Sieve(self.problem.limits, group)
-        found = sieve(q[self.fits(values, q, self._free(group), aside)], self._geometry(values))
+        found = sieve(q[fits], self._geometry(values))
         self.left_out = self.left_out.with_more(sieve.left_out)
         return found
 
@@ -272,7 +277,7 @@ class Sizing:
         each = 1 + any(group.drift for group in self.problem.groups)
         count = each * len(self.problem.groups)
         middle = np.tile(self.problem.model.ranges.mean(axis=1), (count, 1))
-        found = Postures(self.problem, middle, self.problem.labels(each)).calibration
+        found = Postures(self.problem, middle).calibration
         where, which, factor = found.layout.locked
         drifts = np.array([kind is ParameterKind.DRIFT for kind in found.parameters.kinds])[which]
         spread = np.where(drifts, 0.5 + (factor - 0.5) / np.sqrt(3.0), factor)  # of even progress from 0 to 1
@@ -282,12 +287,6 @@ class Sizing:
     def free(self) -> list[int]:
         """Parameters that are estimated."""
         return [int(k) for k in np.flatnonzero(self.calibration.free)]
-
-    @cached_property
-    def uncertain(self) -> Array:
-        """(p,) standard deviations of the geometry; zero of what is exact."""
-        parameters = self.problem.model.parameters
-        return np.where([name in self.problem.fixed for name in parameters.names], 0.0, parameters.scale)
 
     @cached_property
     def rows(self) -> list[ca.Function]:
@@ -323,7 +322,7 @@ class Sizing:
             rest.append(ends.T - machine.ground - self.clearance)
         motion = by_q[:3, postures.sensed_joints(model)]
         rest.append(dexterity(motion) - DEXTERITY)
-        moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.uncertain))
+        moved = ca.jacobian(gap[:3], g) @ ca.diag(ca.DM(self.problem.uncertain))
         turned = motion.T @ ca.solve(motion @ motion.T, moved)
         rest.append(TURN - REACHED * ca.sqrt(ca.sum2(turned**2) + TINY))
         return ca.Function("bounded", [theta, q], [gap[closes], ca.vertcat(*rest)], ["theta", "q"], ["gap", "rest"])
@@ -379,15 +378,6 @@ class Sizing:
             k = self.calibration.parameters.index(name)
             pick[self.free.index(k), column] = self.calibration.parameters.scale[k] / target
         return pick
-
-    def fits(self, values: Mapping[str, float], q: Array, free: Sequence[int], aside: float) -> NDArray[np.bool_]:
-        """Which closed postures (N, n) keep limits of the joints `free`, strokes, heights and dexterity, and stay away
-        from them by a part of what they do when sizes are found."""
-        rest = self.bounded.map(len(q))(np.repeat(self.theta(values)[:, None], len(q), axis=1), q.T)[1]
-        low, high = self.problem.model.ranges.T
-        within = np.minimum(q - low, high - q)[:, list(free)]
-        return np.asarray(np.all(np.asarray(rest) >= aside * ROOM - CLOSE, axis=0)
-                          & np.all(within >= aside * ASIDE - CLOSE, axis=1))
 
     def improved(self, values: Mapping[str, float], q: Array, shares: Array,
               steps: int = STEPS) -> tuple[dict[str, float], Array]:

@@ -37,7 +37,7 @@ def random_candidates(problem: PoseProblem, count: int, rng: np.random.Generator
         q, out = candidate_postures(problem, group, count, rng)
         drawn.append(q)
         left_out = left_out.with_more(out)
-    return Postures(problem, np.concatenate(drawn), problem.labels(count)), left_out
+    return Postures(problem, np.concatenate(drawn)), left_out
 
 
 def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
@@ -55,7 +55,6 @@ def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
         ProblemError: too few postures close, or keep the reserves.
     """
     model, sieve = problem.model, Sieve(problem.limits, group)
-    sigma = np.where([name in problem.fixed for name in model.parameters.names], 0.0, model.parameters.scale)
     moving = [model.joints.index(joint) for joint in dict.fromkeys((*group.moves, *model.machine.base_joints))
               if joint not in group.locked]
     held = {model.joints.index(joint) for joint in group.locked}
@@ -66,8 +65,8 @@ def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int,
     batch = max(count, BATCH)
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
-        locked=group.locked, held=known.get(group.fixture or group.touch), within_strokes=sigma, batch=batch,
-        sieve=sieve, give_up=lambda found, tried: tried > 3 * batch and (
+        locked=group.locked, held=known.get(group.fixture or group.touch), within_strokes=problem.uncertain,
+        batch=batch, sieve=sieve, give_up=lambda found, tried: tried > 3 * batch and (
             sieve.left_out.drawn * TRIES < tried or found * RARE < sieve.left_out.drawn))
     if len(found) < count and len(found) * RARE < sieve.left_out.drawn:
         raise ProblemError(f"only {len(found)} of {sieve.left_out.drawn} random postures that close keep the reserves; "

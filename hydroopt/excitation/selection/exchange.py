@@ -8,7 +8,7 @@ out. All postures keep the reserves of the machine's limits. Section 5.3 of the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,29 @@ HELPS = 1e-6
 """Relative gain of the criterion from which on an exchange helps."""
 PASSES = (2, 3, 4, 6, 8)
 """Ways there or back that are tried where locked joints drift."""
+
+
+Chosen = NDArray[np.bool_]
+"""Which candidates are taken: (G, C) of C postures in each of G groups, or (N, R) of R readings in N postures."""
+
+
+def exchanged(chosen: Chosen, removable: Callable[[Chosen], Iterable[NDArray[np.intp]]],
+              refilled: Callable[[Chosen, NDArray[np.intp]], Chosen | None]) -> Chosen:
+    """A choice in which no exchange helps: a few candidates after another are taken away, and others put in their
+    place, over and over again.
+
+    Args:
+        chosen: to begin with: candidates that were the best ones one after another.
+        removable: the places of a few candidates each, in turn.
+        refilled: a choice and such places -> the choice with others there; None where that is no better.
+    """
+    helped = True
+    while helped:
+        helped = False
+        for some in removable(chosen):
+            if (better := refilled(chosen, some)) is not None:
+                chosen, helped = better, True
+    return chosen
 
 
 def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int = 0,
@@ -50,7 +73,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
                            remedy="ask for fewer poses or more candidates")
     found, left_out = random_candidates(problem, candidates, np.random.default_rng(seed), progress)
     q = best_poses(problem, found.q.reshape(len(problem.groups), candidates, -1), progress)
-    return PosePlan(problem, candidates, seed, problem.labels(problem.count), q, left_out)
+    return PosePlan(Postures(problem, q), candidates, seed, left_out)
 
 
 def best_poses(problem: PoseProblem, found: Array, progress: Progress = silent,
@@ -92,8 +115,7 @@ class _Design:
     """
 
     def __init__(self, poses: PoseProblem, found: Array, units: Mapping[str, float] | None) -> None:
-        problem, linear = Postures(
-            poses, np.concatenate(found), poses.labels(found.shape[1])).linearised()
+        problem, linear = Postures(poses, np.concatenate(found)).linearised()
         self.criterion, groups = poses.criterion, len(found)
         free = np.flatnonzero(problem.free)
         if not np.any(linear.jacobian[:, :, free]):
@@ -116,48 +138,48 @@ class _Design:
         unit = data.scale[places] if units is None else np.array([units[name] for name in poses.focus])
         self.focus = to_w[places] / unit[:, None] if places else np.linalg.inv(factor).T
 
-    def information(self, chosen: NDArray[np.bool_]) -> Array:
+    def information(self, chosen: Chosen) -> Array:
         """(r, r) of chosen candidates (G, C) and the prior."""
         rows = self.rows[chosen].reshape(-1, len(self.prior))
         return np.asarray(self.prior + rows.T @ rows)
 
-    def covariance(self, chosen: NDArray[np.bool_]) -> Array:
+    def covariance(self, chosen: Chosen) -> Array:
         """(r, r) that they leave."""
         return np.asarray(np.linalg.inv(self.information(chosen)))
 
-    def value(self, chosen: NDArray[np.bool_]) -> float:
+    def value(self, chosen: Chosen) -> float:
         """The criterion of chosen candidates (G, C); less is better."""
         nothing = np.zeros((1, *self.rows.shape[2:]))
         return -float(scores(self.criterion, nothing, self.covariance(chosen), self.focus)[0])
 
-    def best(self, count: int, progress: Progress) -> NDArray[np.bool_]:
+    def score(self, chosen: Chosen, group: int, pose: int = 0) -> Array:
+        """(C,) of each candidate of a group after it is added to the chosen ones; −∞ if it is one of them. That of
+        `pose` is exact, see `scores`."""
+        found = scores(self.criterion, self.rows[group], self.covariance(chosen), self.focus, pose)
+        return np.where(chosen[group], -np.inf, found)
+
+    def refilled(self, chosen: Chosen, which: NDArray[np.intp]) -> Chosen | None:
+        """The best candidate of its group in place of a chosen one (group, pose); None where that is itself."""
+        group, pose = which.tolist()
+        other = chosen.copy()
+        other[group, pose] = False
+        found = self.score(other, group, pose)
+        other[group, np.argmax(found)] = True
+        return other if np.max(found) > found[pose] + HELPS else None
+
+    def best(self, count: int, progress: Progress) -> Chosen:
         """The chosen candidates (G, C), `count` of each group."""
         if count * self.rank.sum() < self.open:
             raise ProblemError(f"{count} poses of each stage have {count * self.rank.sum()} rows for {self.open} "
                                "parameters", where="pose plan",
                                remedy=f"ask for {-(-self.open // self.rank.sum())} poses or more, or fix parameters")
         chosen = np.zeros(self.rows.shape[:2], dtype=bool)
-
-        def score(group: int, pose: int = 0) -> Array:
-            """Of each candidate of a group after it is added to those that are chosen; −∞ if it is one of them."""
-            found = scores(self.criterion, self.rows[group], self.covariance(chosen), self.focus, pose)
-            return np.where(chosen[group], -np.inf, found)
-
         for k in range(count):
             progress(f"choosing pose {k + 1} of {count}", 0.5 + 0.4 * k / count)
             for group, taken in enumerate(chosen):
-                taken[np.argmax(score(group))] = True
+                taken[np.argmax(self.score(chosen, group))] = True
         progress("exchanging poses until none helps", 0.9)
-        helped = True
-        while helped:
-            helped = False
-            for group, taken in enumerate(chosen):
-                for pose in np.flatnonzero(taken):
-                    taken[pose] = False
-                    found = score(group, int(pose))
-                    better = np.max(found) > found[pose] + HELPS
-                    taken[np.argmax(found) if better else pose] = True
-                    helped |= bool(better)
+        chosen = exchanged(chosen, np.argwhere, self.refilled)
         if np.linalg.eigvalsh(self.information(chosen))[0] < 2 * FAINT:
             raise ProblemError(f"{count} poses of each stage do not identify all combinations that more poses would",
                                where="pose plan", remedy="ask for more poses, or fix parameters")

@@ -22,10 +22,10 @@ from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.criteria import gains
 from hydroopt.excitation.selection.candidate_postures import random_candidates
-from hydroopt.excitation.selection.exchange import HELPS
+from hydroopt.excitation.selection.exchange import HELPS, Chosen, exchanged
 from hydroopt.excitation.selection.pose_plan import PosePlan
 from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, PoseProblem, Postures, pose_problem
-from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Reading, readings, tip_rows
+from hydroopt.excitation.selection.readings import DRIVE, PostureReadings, Reading, readings, refuse_minutes, tip_rows
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.limits.watch import in_print
 from hydroopt.machine.machine import Machine
@@ -35,9 +35,6 @@ from hydroopt.results.tables import number
 from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.progress import Progress, silent
-
-Chosen = NDArray[np.bool_]
-"""Which of R readings are taken in which of N candidate postures, (N, R)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +132,11 @@ def measure_up_problem(machine: GivenMachine, tip: float, *, minutes: Mapping[st
     poses = pose_problem(machine, 1, priors=True, fixed=fixed, setups=setups, reserves=reserves)
     problem = MeasureUpProblem(poses, tip, dict(minutes or {}))
     known = {each.name: each for each in problem.readings}
-    for name, spent in problem.minutes.items():
+    refuse_minutes(problem.minutes)
+    for name in problem.minutes:
         if name not in known:
             raise ProblemError("the machine states no such reading", where=f"minutes of '{name}'",
                                remedy=f"use {', '.join(known)}")
-        if not (np.isfinite(spent) and spent >= 0):
-            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
-                               remedy="give a number from 0 on")
     if any(group.fixture for group in poses.groups):
         raise ProblemError("a fixture holds its tip", where=f"machine '{machine.name}'",
                            remedy="plan the poses with plan-poses, or leave out the fixtures")
@@ -173,7 +168,7 @@ class MeasureUpPlan(PosePlan):
     @cached_property
     def calibration(self) -> CalibrationProblem:
         """The calibration problem of the table that is filled in with what the nominal geometry would give."""
-        there = PostureReadings(self._driven, self.readings)
+        there = PostureReadings(self.driven, self.readings)
         return there.reading(np.arange(len(self.q)), self.taken)
 
     @property
@@ -230,12 +225,11 @@ class MeasureUpPlan(PosePlan):
             text += [f"In every posture, record along: {', '.join(self.by_themselves)}."]
         read = [joint for joint in self.joints if f"{joint}.q" in self.problem.channels]
         printed = {joint: self._printed(joint) for joint in read}
-        before: tuple[str, ...] = ()
+        before = None
         for k in range(len(self.q)):
-            group = tuple(str(each[k]) for each in self.labels)
-            if group != before and any(group):
-                text += ["", ", ".join(f"{name} '{value}'" for name, value in
-                                       zip(self.labels._fields, group, strict=True) if value)]
+            group = self.driven.groups[k]
+            if group is not before and group.named:
+                text += ["", group.named]
             before = group
             places = ", ".join(f"{joint} {texts[k]} {unit}" for joint, (unit, texts) in printed.items())
             lengths = ", ".join(" ".join((cylinder.name, *in_print(length, "m"))) for cylinder, length in
@@ -271,8 +265,7 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
     """
     drawn, left_out = random_candidates(problem.poses, candidates, np.random.default_rng(seed), progress)
     choice = _Choice(problem, drawn)
-    before, reachable = (np.sqrt(choice.variance(choice.postures.information(read)))
-                         for read in (choice.nothing, choice.postures.there))
+    before, reachable = (np.sqrt(choice.worth(read)[1]) for read in (choice.nothing, choice.postures.there))
     if before <= problem.tip:
         raise ProblemError(f"the machine file states the tip to {1e3 * before:.3g} mm already",
                            where=f"tip to {1e3 * problem.tip:.3g} mm", remedy="state a 'sigma' for every length, angle "
@@ -287,127 +280,78 @@ def fewest_readings(problem: MeasureUpProblem, *, candidates: int = 60, seed: in
     progress("exchanging postures until none helps", 0.5)
     chosen = choice.exchanged(chosen)
     places = np.flatnonzero(chosen.any(axis=1))
-    driven = drawn.at(places)
     return MeasureUpPlan(
-        problem.poses, candidates, seed, driven.labels, driven.q, left_out, problem.readings, chosen[places],
-        problem.tip, float(np.sqrt(choice.variance(choice.postures.information(chosen)))), float(before))
+        drawn.at(places), candidates, seed, left_out, problem.readings, chosen[places], problem.tip,
+        float(np.sqrt(choice.worth(chosen)[1])), float(before))
 
 
 class _Choice:
-    """What may be chosen among the readings of N candidate postures, and what it is worth."""
+    """What may be read in N candidate postures, and what it is worth. A choice (N, R) says what is read where."""
 
     def __init__(self, problem: MeasureUpProblem, postures: Postures) -> None:
         self.target = problem.tip**2
         self.postures = PostureReadings(postures, problem.readings)
         self.by_hand = np.array([each.by_hand for each in problem.readings])
         self.minutes = np.array([each.minutes for each in problem.readings])
-        self.touching = postures.labels.touch[:, None] == np.array([each.name for each in problem.readings])
+        self.touching = postures.touch[:, None] == np.array([each.name for each in problem.readings])
         self.nothing = np.zeros_like(self.postures.there)
         self.task = tip_rows(self.postures.calibration)[:, self.postures.free]
 
-    def variance(self, information: Array) -> float:
-        """Mean variance of the tip [m²] over the workspace by an information (f, f)."""
-        return float(np.sum(self.task * np.linalg.solve(information, self.task.T).T))
+    def spent(self, read: Chosen) -> Array:
+        """(K,) minutes for readings (K, R), with driving there."""
+        return np.asarray(DRIVE * read.any(axis=1) + read @ self.minutes)
 
     def worth(self, chosen: Chosen) -> tuple[float, float]:
-        """Minutes of readings, then the variance of the tip [m²]: less is better."""
-        spent = DRIVE * chosen.any(axis=1).sum() + (chosen * self.minutes).sum()
-        return float(spent), self.variance(self.postures.information(chosen))
+        """Minutes, then the variance of the tip [m²], the mean over the workspace: less is better."""
+        variance = np.sum(self.task * np.linalg.solve(self.postures.information(chosen), self.task.T).T)
+        return float(self.spent(chosen).sum()), float(variance)
+
+    def changes(self, chosen: Chosen) -> tuple[NDArray[np.intp], Chosen, Array, Array]:
+        """Every other choice in one posture, by one reading by hand more or less, by all or none: postures (K,),
+        readings (K, R) there, minutes (K,) that are spent more, and variance [m²] (K,) of the tip that is left."""
+        there, own = self.postures.there, np.diag(self.by_hand)[self.by_hand]
+        made = np.array([*(chosen ^ (there & each) for each in own), there, self.nothing])
+        made = (made | ~self.by_hand) & there
+        # no one drives where nothing is read by hand, or the machine would touch a datum that is not read
+        made &= ((made & self.by_hand).any(axis=2) & ~(self.touching & ~made).any(axis=2))[:, :, None]
+        option, places = np.nonzero((made != chosen).any(axis=2))
+        read, left = made[option, places], np.zeros(len(places))
+        rows, information = self.postures.rows_of(places, read), self.postures.information(chosen)
+        taken = np.flatnonzero(chosen.any(axis=1))
+        away = zip(taken.tolist(), self.postures.rows_of(taken, chosen[taken]), strict=True)
+        for some, less in ((~np.isin(places, taken), 0.0), *((places == k, each.T @ each) for k, each in away)):
+            covariance = np.linalg.inv(information - less)
+            across = covariance @ self.task.T
+            left[some] = np.sum(self.task.T * across) - gains(rows[some], covariance, across)
+        return places, read, self.spent(read) - self.spent(chosen[places]), left
 
     def reaching(self, chosen: Chosen, worth: tuple[float, float] = (np.inf, np.inf)) -> Chosen | None:
         """These readings and the most useful ones per minute, until the tip is known well enough, without those that
         are then superfluous; None where that is no better than a stated worth."""
-        spent, variance = self.worth(chosen)
-        while variance > self.target:
-            more = self.with_best(chosen) if spent < worth[0] else None
-            if more is None:
-                return None
-            chosen = more
+        chosen, missing = chosen.copy(), True
+        while True:
             spent, variance = self.worth(chosen)
-        chosen = self.without_superfluous(chosen)
-        return chosen if self.worth(chosen) < worth else None
+            missing = missing and variance > self.target
+            if missing and spent >= worth[0]:
+                return None
+            places, read, more, left = self.changes(chosen)
+            possible = (more > 0) & (left < variance) if missing else (more < 0) & (left <= self.target)
+            if not possible.any():
+                return None if missing or (spent, variance) >= worth else chosen
+            rate = np.where(possible, (variance - left) / np.where(possible, more, 1.0), np.inf)
+            k = int(np.argmax(np.where(possible, rate, 0.0)) if missing else np.argmin(rate))
+            chosen[places[k]] = read[k]
 
     def exchanged(self, chosen: Chosen) -> Chosen:
         """Other readings in place of those of one posture after another, then of two that follow each other, as long
         as minutes are saved, or the tip is known better in as many."""
-        helped = True
-        while helped:
-            helped, places = False, np.flatnonzero(chosen.any(axis=1))
-            for some in (*places[:, None], *np.column_stack([places, np.roll(places, -1)])):
-                rest, (spent, variance) = chosen.copy(), self.worth(chosen)
-                rest[some] = False
-                if (other := self.reaching(rest, (spent, variance * (1 - HELPS)))) is not None:
-                    chosen, helped = other, True
-        return chosen
+        def few(chosen: Chosen) -> Iterator[NDArray[np.intp]]:
+            places = np.flatnonzero(chosen.any(axis=1))
+            yield from (*places[:, None], *np.column_stack([places, np.roll(places, -1)]))
 
-    def with_best(self, chosen: Chosen) -> Chosen | None:
-        """Also the reading, or the readings of a new posture, that lower the variance most per minute; None if none
-        lowers it."""
-        information, fresh = self.postures.information(chosen), ~chosen.any(axis=1)
-        covariance, now = np.asarray(np.linalg.inv(information)), self.variance(information)
-        most, best = 0.0, None
-        for read, rows, spent in self._firsts:
-            gain = np.where(fresh, gains(rows, covariance, covariance @ self.task.T), 0.0) / spent
-            k = int(np.argmax(gain))
-            if gain[k] > most:
-                most, best = float(gain[k]), (k, read[k])
-        for k, read_there, added, spent in self._changes(chosen, ~chosen):
-            gain_there = (now - self.variance(information + added)) / spent
-            if gain_there > most:
-                most, best = gain_there, (k, read_there)
-        if best is None:
-            return None
-        more = chosen.copy()
-        more[best[0]] = best[1]
-        return more
+        def refilled(chosen: Chosen, some: NDArray[np.intp]) -> Chosen | None:
+            rest, (spent, variance) = chosen.copy(), self.worth(chosen)
+            rest[some] = False
+            return self.reaching(rest, (spent, variance * (1 - HELPS)))
 
-    @cached_property
-    def _firsts(self) -> list[tuple[Chosen, Array, float]]:
-        """What may be read first in each posture (N, R), one reading by hand or all, with what reads by itself; its
-        whitened rows (N, u, f), and the minutes."""
-        hands = np.flatnonzero(self.by_hand)
-        single = [~self.by_hand | (np.arange(len(self.by_hand)) == r) for r in hands]
-        made = []
-        for kind in [*single, np.ones(len(self.by_hand), dtype=bool)] if len(hands) > 1 else single:
-            read = self._sensible(self.postures.there & kind, self.touching)
-            made.append((read, self.postures.rows_of(np.arange(len(read)), read),
-                         DRIVE + float((read * self.minutes).sum(axis=1).max())))
-        return made
-
-    def _changes(self, chosen: Chosen, possible: Chosen) -> Iterator[tuple[int, Chosen, Array, float]]:
-        """Other choices in postures that are measured, by one reading by hand among the `possible` (N, R) more or
-        less: posture, readings (R,) there, information (f, f) that is added, and minutes that are spent, both less than
-        nothing where a reading is left out."""
-        places = np.flatnonzero(chosen.any(axis=1))
-        for r in np.flatnonzero(self.by_hand):
-            some = places[(self.postures.there & possible)[places, r]]
-            if not len(some):
-                continue
-            read = chosen[some]
-            read[:, r] ^= True
-            read = self._sensible(read, self.touching[some])
-            before, after = (rows.transpose(0, 2, 1) @ rows for rows in (
-                self.postures.rows_of(some, each) for each in (chosen[some], read)))
-            spent = (read.astype(float) - chosen[some]) @ self.minutes - np.where(read.any(axis=1), 0.0, DRIVE)
-            yield from zip(some.tolist(), read, after - before, spent.tolist(), strict=True)
-
-    def _sensible(self, read: Chosen, touching: Chosen) -> Chosen:
-        """Readings (K, R) without those of postures to which no one drives: where nothing is read by hand, or the
-        machine would touch a datum (K, R) that is not read."""
-        there = (read & self.by_hand).any(axis=1) & ~(touching & ~read).any(axis=1)
-        return np.asarray(read & there[:, None])
-
-    def without_superfluous(self, chosen: Chosen) -> Chosen:
-        """Without readings, the least useful per minute first, as long as the tip stays known well enough."""
-        while True:
-            information, worth = self.postures.information(chosen), list[tuple[float, int, Chosen]]()
-            now = self.variance(information)
-            for k, read, added, spent in self._changes(chosen, chosen):
-                left = self.variance(information + added)
-                if 0 < left <= self.target:
-                    worth.append(((now - left) / spent, k, read))
-            if not worth:
-                return chosen
-            _, k, read = min(worth, key=lambda each: each[0])
-            chosen = chosen.copy()
-            chosen[k] = read
+        return exchanged(chosen, few, refilled)

@@ -104,7 +104,7 @@ def pose_measurements(postures: PostureReadings, numbers: NDArray[np.intp],
     """Readings in postures: those of one instrument, tape, datum or IMU, or of the calibrator in one fixture; joints
     and transducers read along. Some are `added` by name to what the machine file states; `numbers` (f,) are the places
     of the geometry's among all."""
-    readings, labels = postures.readings, postures.postures.labels
+    readings, labels = postures.readings, postures.postures
     along = np.array([each.kind == "transducer" for each in readings], dtype=bool)
     fixed, touching = labels.fixture != "", labels.touch != ""
 

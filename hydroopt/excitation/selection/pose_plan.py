@@ -13,7 +13,6 @@ from hydroopt.estimation.kinematic.observability import Observability, linearise
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.selection.pose_problem import (
     PoseGroup,
-    PoseLabels,
     PoseProblem,
     Postures,
     column_in_print,
@@ -39,9 +38,7 @@ class PosePlan(Answer):
     """Poses to measure, in the order of measuring; its parameters have the standard deviations to expect.
 
     Attributes:
-        problem: what was planned; `candidates` postures of each group, drawn with `seed`, were to choose from.
-        labels: what the poses belong to.
-        q: (N, n) joint vectors [rad, m].
+        driven: the poses; `candidates` postures of each group, drawn with `seed`, were to choose from.
         left_out: random postures that were left out to keep reserves.
 
     >>> import hydroopt
@@ -55,24 +52,32 @@ class PosePlan(Answer):
     '15 poses for cat215b'
     """
 
-    problem: PoseProblem
+    driven: Postures
     candidates: int
     seed: int
-    labels: PoseLabels
-    q: Array
     left_out: LeftOut
 
     job = Job.POSE_PLAN
 
     @property
+    def problem(self) -> PoseProblem:
+        """What was planned."""
+        return self.driven.problem
+
+    @property
+    def q(self) -> Array:
+        """(N, n) joint vectors [rad, m]."""
+        return self.driven.q
+
+    @property
     def stage(self) -> Texts:
         """(N,) stages."""
-        return self.labels.stage
+        return self.driven.stage
 
     @property
     def fixture(self) -> Texts:
         """(N,) fixtures."""
-        return self.labels.fixture
+        return self.driven.fixture
 
     @property
     def machine(self) -> Machine:
@@ -82,11 +87,7 @@ class PosePlan(Answer):
     @cached_property
     def calibration(self) -> CalibrationProblem:
         """The calibration problem that measuring the poses without noise gives."""
-        return self._driven.calibration
-
-    @property
-    def _driven(self) -> Postures:
-        return Postures(self.problem, self.q, self.labels)
+        return self.driven.calibration
 
     @cached_property
     def observability(self) -> Observability:
@@ -182,7 +183,7 @@ class PosePlan(Answer):
         """Poses to which joints must not all go straight from the one before, counted from 1, and the limits of the
         machine whose reserves that would use."""
         limits, found = self.problem.limits.while_resting(self.joints), dict[int, tuple[str, ...]]()
-        groups = self._driven.groups
+        groups = self.driven.groups
         held, closed = ([getattr(group, key)(self.machine) for group in groups] for key in ("held", "closed"))
         for k in range(1, len(self.q)):
             same = groups[k] is groups[k - 1]
@@ -202,13 +203,13 @@ class PosePlan(Answer):
     def postures(self) -> Poses:
         """All joint angles as a table of poses, those that no sensor reads too, and which datums are touched: where to
         drive."""
-        return self._driven.table
+        return self.driven.table
 
     @property
     def poses(self) -> Poses:
         """The table to fill in, with the channels that are read: zero where a datum is touched, all else empty, so that
         no planned position passes for a reading."""
-        return self._driven.table_of({name: np.full(len(self.q), np.nan) for name in self.problem.channels})
+        return self.driven.table_of({name: np.full(len(self.q), np.nan) for name in self.problem.channels})
 
     def details(self) -> Mapping[str, Any]:
         """How the poses were chosen, and how well they condition the calibration."""
@@ -228,7 +229,7 @@ class PosePlan(Answer):
     @cached_property
     def watch(self) -> Watch:
         """What people beside the machine keep."""
-        return self._driven.watch
+        return self.driven.watch
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: how far to stay away, what to lock, what to move where, what to read, and

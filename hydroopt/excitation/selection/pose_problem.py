@@ -52,10 +52,6 @@ class PoseGroup(NamedTuple):
     setup: str = ""
     touch: str = ""
 
-    def has(self, stage: str, fixture: str, setup: str, touch: str) -> bool:
-        """Whether poses with these labels belong to it; those that touch nothing belong to any touch."""
-        return (self.stage, self.fixture, self.setup) == (stage, fixture, setup) and touch in ("", self.touch)
-
     def held(self, machine: Machine) -> str:
         """The link that a fixture or a datum holds at the ground; '' if none is."""
         return held_link(machine, self.fixture, self.touch)
@@ -66,18 +62,14 @@ class PoseGroup(NamedTuple):
         return bool(self.fixture or self.touch) or any(
             name in stated and machine.link(name).joint.passive for name in machine.joints)
 
-    def __str__(self) -> str:
+    @property
+    def named(self) -> str:
+        """In words; empty where it has no name."""
         named = (("stage", self.stage), ("fixture", self.fixture), ("set-up", self.setup), ("touching", self.touch))
-        return ", ".join(f"{kind} '{name}'" for kind, name in named if name) or "open chain"
+        return ", ".join(f"{kind} '{name}'" for kind, name in named if name)
 
-
-class PoseLabels(NamedTuple):
-    """What N poses belong to, (N,) each; see `PoseGroup`."""
-
-    stage: Texts
-    fixture: Texts
-    setup: Texts
-    touch: Texts
+    def __str__(self) -> str:
+        return self.named or "open chain"
 
 
 class CombinatorialProblem(Shown):
@@ -145,6 +137,12 @@ combinatorial and has no nonlinear or convex program; use hydroopt.solve.
         return KinematicModel(self.machine)
 
     @cached_property
+    def uncertain(self) -> Array:
+        """(p,) standard deviations of the geometry; zero of what is held."""
+        parameters = self.model.parameters
+        return np.where([name in self.fixed for name in parameters.names], 0.0, parameters.scale)
+
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Channels that are read in each pose."""
         return postures.measured_channels(self.model)
@@ -157,12 +155,7 @@ combinatorial and has no nonlinear or convex program; use hydroopt.solve.
     @cached_property
     def _one_pose_each(self) -> CalibrationProblem:
         middle = np.tile(self.model.ranges.mean(axis=1), (len(self.groups), 1))
-        return Postures(self, middle, self.labels(1)).calibration
-
-    def labels(self, count: int) -> PoseLabels:
-        """Of so many poses of each group, the groups one after another."""
-        return PoseLabels(*(np.repeat([getattr(group, key) for group in self.groups], count)
-                            for key in PoseLabels._fields))
+        return Postures(self, middle).calibration
 
     def fixing(self, **values: float) -> PoseProblem:
         """The problem with parameters held, ``fixing(**{"ball.y": 0.0})`` [SI].
@@ -239,43 +232,52 @@ def expected_uncertainty(machine: Machine, q: Array, stage: Sequence[str] | Text
         ProblemError: poses and machine do not fit together.
     """
     problem = PoseProblem(machine, len(q), _groups(machine, None, ("",)), "D", (), priors, dict(fixed or {}))
-    none = np.full(len(q), "")
-    labels = PoseLabels(np.asarray(stage), np.asarray(fixture), none, none)
-    return observability(*Postures(problem, np.asarray(q), labels).linearised())
+    known = [(group.stage, group.fixture) for group in problem.groups]
+    labels = list(zip(map(str, stage), map(str, fixture), strict=True))
+    if unknown := sorted({*labels} - {*known}):
+        raise ProblemError("the machine file has no such stage or fixture", where=f"poses of {unknown[0]}",
+                           remedy=f"use {', '.join(map(str, known))}")
+    return observability(*Postures(problem, np.asarray(q), np.array(list(map(known.index, labels)))).linearised())
 
 
-class Postures(NamedTuple):
+class Postures:
     """Some poses of a problem: N joint vectors of machine and calibrator, and what they belong to.
 
     Attributes:
         problem: which machine, groups and parameters.
         q: (N, n) [rad, m].
-        labels: (N,) each.
+        group: (N,) places of their groups in the problem; by default as many of each, one group after another.
+        stage, fixture, setup, touch: (N,) of their groups.
     """
 
-    problem: PoseProblem
-    q: Array
-    labels: PoseLabels
+    def __init__(self, problem: PoseProblem, q: Array, group: NDArray[np.intp] | None = None) -> None:
+        own = np.repeat(np.arange(len(problem.groups)), len(q) // len(problem.groups)) if group is None else group
+        self.problem, self.q, self.group = problem, q, own
+        self.stage, self.fixture, self.setup, self.touch = (
+            np.array([getattr(each, key) for each in problem.groups])[own]
+            for key in ("stage", "fixture", "setup", "touch"))
+
+    def __len__(self) -> int:
+        return len(self.q)
 
     def at(self, places: Sequence[int] | NDArray[np.intp]) -> Postures:
         """Those at some places (K,)."""
         some = np.asarray(places, dtype=int)
-        return Postures(self.problem, self.q[some], PoseLabels(*(np.asarray(each)[some] for each in self.labels)))
+        return Postures(self.problem, self.q[some], self.group[some])
 
     @property
     def groups(self) -> list[PoseGroup]:
         """The group that each belongs to."""
-        return [next(group for group in self.problem.groups if group.has(*map(str, each)))
-                for each in zip(*self.labels, strict=True)]
+        return [self.problem.groups[k] for k in self.group]
 
-    @property
+    @cached_property
     def calibration(self) -> CalibrationProblem:
         """The calibration problem that measuring them without noise gives."""
-        model, labels = self.problem.model, self.labels
+        model = self.problem.model
         poses = postures.record(
-            model, self.q, labels.stage.tolist(), labels.fixture.tolist(), geometry=model.parameters.nominal,
-            channels=self.problem.channels, seed=None, name="plan", setup=labels.setup.tolist(),
-            touch=labels.touch.tolist())
+            model, self.q, self.stage.tolist(), self.fixture.tolist(), geometry=model.parameters.nominal,
+            channels=self.problem.channels, seed=None, name="plan", setup=self.setup.tolist(),
+            touch=self.touch.tolist())
         return calibration_problem(model.machine, poses, fixed=self.problem.fixed, priors=self.problem.priors)
 
     def linearised(self) -> tuple[CalibrationProblem, Linearised]:
@@ -285,11 +287,11 @@ class Postures(NamedTuple):
 
     def table_of(self, channels: Mapping[str, Array]) -> Poses:
         """A table of them with some channels (N,) [SI], and those of datums: zero where they are touched, else NaN."""
-        touched = {channel: np.where(self.labels.touch == each.name, 0.0, np.nan)
+        touched = {channel: np.where(self.touch == each.name, 0.0, np.nan)
                    for each in self.problem.model.measurements if each.tool == "datum" for channel in each.channels}
         name, units = self.problem.machine.name, self.problem.machine.channel_units
-        return Poses(name=f"plan for {name}", stage=self.labels.stage, fixture=self.labels.fixture,
-                     setup=self.labels.setup, channels={**channels, **touched},
+        return Poses(name=f"plan for {name}", stage=self.stage, fixture=self.fixture,
+                     setup=self.setup, channels={**channels, **touched},
                      units={each: units[each] for each in (*channels, *touched)})
 
     @property

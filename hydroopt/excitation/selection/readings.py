@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.accuracy import machine_end
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -89,6 +90,7 @@ class PostureReadings:
         present, channels = self.calibration.layout.present, self.calibration.model.channels
         self._rows = [np.array([channels.index(channel) for channel in each.channels if channel in channels], dtype=int)
                       for each in readings]
+        self._known: dict[tuple[int, bytes], Array] = {}
         self.there = np.array([present[:, each].any(axis=1) for each in self._rows]).reshape(-1, len(present)).T
         self.free = np.flatnonzero(self.calibration.free)
         self.scale = self.calibration.parameters.scale[self.free]
@@ -100,9 +102,19 @@ class PostureReadings:
         return tuple(self.calibration.parameters.names[k] for k in self.free)
 
     def rows_of(self, places: NDArray[np.intp], read: NDArray[np.bool_]) -> Array:
-        """Whitened Jacobian (K, u, f) of postures (K,) in which some readings (K, R) are taken."""
-        part = self.reading(places, read)
-        return linearise(part, part.parameters.nominal, self.postures.q[places]).jacobian[:, :, self.free]
+        """Whitened Jacobian (K, u, f) of postures (K,) in which some readings (K, R) are taken, each computed once."""
+        keys = [(k, each.tobytes()) for k, each in zip(places.tolist(), read, strict=True)]
+        missing = {each: row for each, row in zip(keys, read, strict=True) if each not in self._known}
+        for kind in {each for _, each in missing}:
+            some = np.array(sorted(k for k, each in missing if each == kind))
+            part = self.reading(some, np.array([missing[int(k), kind] for k in some]))
+            rows = linearise(part, part.parameters.nominal, self.postures.q[some]).jacobian[:, :, self.free]
+            self._known.update(((int(k), kind), each) for k, each in zip(some, rows, strict=True))
+        found = [self._known[each] for each in keys]
+        made = np.zeros((len(found), max(map(len, found), default=0), len(self.free)))
+        for row, each in zip(made, found, strict=True):
+            row[: len(each)] = each
+        return made
 
     def information(self, read: NDArray[np.bool_]) -> Array:
         """(f, f) of some readings (N, R), with what is known before."""
@@ -118,6 +130,18 @@ class PostureReadings:
         for r, rows in enumerate(self._rows):
             present[:, rows] &= read[:, r, None]
         return replace(problem, layout=replace(layout, present=present))
+
+
+def refuse_minutes(minutes: Mapping[str, float]) -> None:
+    """Refuse minutes, by what takes them, that are no durations.
+
+    Raises:
+        ProblemError: which.
+    """
+    for name, spent in minutes.items():
+        if not (np.isfinite(spent) and spent >= 0):
+            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
+                               remedy="give a number from 0 on")
 
 
 def tip_rows(calibration: CalibrationProblem) -> Array:

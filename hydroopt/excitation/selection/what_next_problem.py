@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -29,12 +30,13 @@ from hydroopt.excitation.selection.measurements import (
     weighed_links,
 )
 from hydroopt.excitation.selection.pose_problem import CombinatorialProblem, pose_problem
-from hydroopt.excitation.selection.readings import PostureReadings, readings, tip_rows
+from hydroopt.excitation.selection.readings import PostureReadings, readings, refuse_minutes, tip_rows
 from hydroopt.limits.postures import LeftOut
 from hydroopt.limits.reserves import DEFAULT, Reserves
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.kinematics import UP
 from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.json_file import FILES, Job
@@ -42,11 +44,10 @@ from hydroopt.results.verdict import Purpose
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import roll_pitch_yaw
 
 TILT = ("base.roll", "base.pitch")
 """Names of the base's tilt."""
-STEP = 1e-4
-"""Step [rad] of differences by the base's tilt."""
 DURATION, MOTIONS = 30.0, 3
 """Seconds of a motion, and how many random ones stand for designed ones."""
 TRIES = 10
@@ -109,7 +110,7 @@ class WhatNextProblem(CombinatorialProblem):
                 raise
             return ()
         own = self.equipped.calibrator
-        if self.additions and np.all(found[0][0].postures.labels.fixture != ""):
+        if self.additions and np.all(found[0][0].postures.fixture != ""):
             found.append(self._candidates(self.equipped.model_copy(update={
                 "calibrator": None if own is None or own.links else own, "fixtures": (), "stages": (),
                 "distances": tuple(each for each in self.equipped.distances if each.measured)})))
@@ -248,19 +249,18 @@ class WhatNextProblem(CombinatorialProblem):
         by_numbers = self._forces.over(q, qd, qdd, psi, chain.nominal[chain.select(self._numbers)])[5]
         found = np.zeros((*by_numbers.shape[:2], self.knowledge.geometry))
         found[:, :, : by_numbers.shape[2]] = by_numbers
-        for k in range(2) if self.base_tilt else ():
-            more, less = (tilted.over(tilted.regressor, q, qd, qdd)[0] @ psi for tilted in self._tilted[k])
-            found[:, :, found.shape[2] - 2 + k] = (more - less) / (2 * STEP)
+        if self.base_tilt:
+            by_gravity = self.model.over(self.model.gravity_regressor, q)[0] @ psi
+            found[:, :, -2:] = by_gravity.reshape(len(q), 3, -1).transpose(0, 2, 1) @ self._gravity_by_tilt
         return found
 
-    @cached_property
-    def _tilted(self) -> tuple[tuple[Model, Model], ...]:
-        """Models whose base is rolled, then pitched, a little more and less."""
-        def turned(k: int, by: float) -> Model:
-            angles = np.array(self.machine.orientation) + by * np.eye(3)[k]
-            return Model(self.machine.model_copy(update={"orientation": tuple(angles.tolist())}))
-
-        return tuple((turned(k, STEP), turned(k, -STEP)) for k in range(2))
+    @property
+    def _gravity_by_tilt(self) -> Array:
+        """(3, 2) of gravity in the base frame [m/s²] by the base's roll and pitch."""
+        angles = ca.SX.sym("angles", 3)
+        gravity = roll_pitch_yaw((angles[0], angles[1], angles[2])).T @ (-self.machine.gravity * UP)
+        by_angles = ca.Function("by_angles", [angles], [ca.jacobian(gravity, angles)])
+        return np.asarray(by_angles(self.machine.orientation))[:, :2]
 
 
 def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (), *,
@@ -309,10 +309,7 @@ def what_next_problem(machine: GivenMachine, answers: Sequence[str | Path] = (),
         if not (np.isfinite(value) and value > 0):
             raise ProblemError(f"a standard deviation of {value:g} cannot be reached", where=f"target of '{name}'",
                                remedy="give a positive one")
-    for name, spent in (minutes or {}).items():
-        if not (np.isfinite(spent) and spent >= 0):
-            raise ProblemError(f"{spent:g} min is not a duration", where=f"minutes of '{name}'",
-                               remedy="give a number from 0 on")
+    refuse_minutes(minutes or {})
     dynamic = [name for name in targets if name != "tip"]
     if dynamic and not len(recent_model(machine).parameters):
         raise ProblemError("the machine states no body or friction", where=f"target of '{dynamic[0]}'",

@@ -149,7 +149,7 @@ def test_what_own_errors_cost_is_what_an_exact_number_saves() -> None:
     dearest = done.own_errors[0]
     exact = done.problem.fixing(**{dearest.name: float(done.problem.parameters.nominal[
         done.problem.parameters.index(dearest.name)])})
-    again = linearise(Postures(exact, done.q, done.labels).calibration, exact.parameters.nominal, done.q)
+    again = linearise(Postures(exact, done.q).calibration, exact.parameters.nominal, done.q)
     assert again.jacobian.shape[0] == len(done.q)
     assert dearest.factor >= done.own_errors[-1].factor >= 1 - 1e-9
     assert all(done.exact_deviations[name] <= std + 1e-12 for name, std in done.length_deviations.items())
@@ -159,7 +159,7 @@ def test_symbolic_rows_are_those_of_linearised_poses() -> None:
     done = design()
     problem = pose_problem(done.machine, 1)
     q = done.q[[0, 6, 12]]
-    calibration = Postures(problem, q, problem.labels(1)).calibration
+    calibration = Postures(problem, q).calibration
     linear = linearise(calibration, calibration.start, q)
     for k in range(3):
         rows = np.array(whitened_rows(calibration, k)(calibration.start, q[k]))

@@ -108,7 +108,7 @@ def test_readings_of_a_plan_make_a_sound_calibration(seed: int) -> None:
 def test_a_datum_is_touched_only_where_it_is_read() -> None:
     done = plan(0.01)
     touched = done.taken[:, [each.name for each in done.readings].index("plate.tip")]
-    np.testing.assert_array_equal(done.labels.touch == "plate.tip", touched)
+    np.testing.assert_array_equal(done.driven.touch == "plate.tip", touched)
     np.testing.assert_array_equal(np.isfinite(done.poses.channels["plate.tip.z"]), touched)
 
 

@@ -333,6 +333,11 @@ def test_problem_prints_itself_and_has_no_program():
             program()
 
 
+def test_poses_of_a_stage_that_the_file_does_not_state_are_refused():
+    with pytest.raises(ProblemError, match=r"no such stage or fixture; use \('stick_moves', 'ball'\)"):
+        expected_uncertainty(CAT, np.zeros((1, 8)), ["arm_moves"], ["ball"])
+
+
 @pytest.mark.slow
 def test_readings_of_lengths_identify_pins():
     """Of a machine that nothing holds or tracks, too; without them poses of such a machine identify nothing."""
