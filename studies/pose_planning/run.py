@@ -90,10 +90,12 @@ def run() -> dict:
             std[way] = dict(zip(seen.names, seen.std, strict=True))
         ratio = {way: min(float(std["kept_sweep" if way == "safe" else "sweep"][name] / values[name])
                           for name in LENGTHS) for way, values in std.items()}
+        default = min(float(std["sweep"][name] / std["safe"][name]) for name in LENGTHS)
         results |= {f"worst_length_ratio{case}": round(ratio["planned"], 2),
                     f"worst_random_ratio{case}": round(ratio["random"], 2),
                     f"worst_within_ratio{case}": round(ratio["within"], 2),
-                    f"worst_ratio_with_reserves{case}": round(ratio["safe"], 2), f"plan_seconds{case}": round(took, 1)}
+                    f"worst_ratio_with_reserves{case}": round(ratio["safe"], 2),
+                    f"worst_ratio_of_default_plan{case}": round(default, 2), f"plan_seconds{case}": round(took, 1)}
         results |= {f"{way}_a1_mm{case}": round(1e3 * float(std[way]["swing.a"]), 2) for way in std}
         results |= {f"{way}_std_mm{case}": {name: round(1e3 * float(std[way][name]), 2) for name in LENGTHS}
                     for way in std}

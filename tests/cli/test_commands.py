@@ -34,8 +34,8 @@ def kr300(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_identify_predicts_the_unseen_part_of_a_real_run(kr300: tuple[Path, str]) -> None:
     content = json.loads((kr300[0] / "estimate.json").read_text())
-    # a real arm's friction is not the model's: its slow residuals are beyond noise and smoothing, and no fault's alone
-    assert content["status"] == "suspect"
+    # a real arm's friction is not the model's: its residuals are beyond noise and smoothing, which claims contain
+    assert content["status"] == "ok"
     assert "lack of fit" in {each["kind"] for each in content["diagnostics"]}
     unexplained = [each["subject"] for each in content["diagnostics"]
                    if each["kind"] == "actuator not explained by the model"]

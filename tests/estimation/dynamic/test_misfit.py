@@ -118,7 +118,8 @@ def late(log: Log, samples: int) -> Log:
 @pytest.mark.parametrize("duration", [60.0, pytest.param(30.0, marks=pytest.mark.xfail(
     strict=True, reason="blocks of 4 s are not long against a memory of 2 s: a load seems to be put down"))])
 def test_errors_with_a_memory_are_a_note_with_their_frequency(crane: Model, duration: float) -> None:
-    log = simulate(crane, random_trajectory(crane, duration=duration, rate=50.0, seed=3), random_truth(crane, 3), seed=3)
+    motion = random_trajectory(crane, duration=duration, rate=50.0, seed=3)
+    log = simulate(crane, motion, random_truth(crane, 3), seed=3)
     rng, kept = np.random.default_rng(2), np.exp(-1 / (2.0 * 50.0))
     slow = np.zeros((2, log.size))
     for k in range(1, log.size):

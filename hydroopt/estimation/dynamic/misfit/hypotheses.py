@@ -84,6 +84,8 @@ class Fault(Hypothesis[View]):
         if not self.free:
             return "Correct these bodies in the machine file, or state a larger sigma of their numbers."
         word = self.group if self.subject == ("forces",) else self.name
+        if self.lack:
+            return f"State such friction in the machine file, or estimate it along: --free '{word}'."
         return f"Correct it in the log or the machine file, or estimate it along: --free '{word}'."
 
     @abstractmethod
