@@ -96,7 +96,7 @@ def examples() -> str:
 
 
 INNER = {
-    "Answer": {"typed"},
+    "Answer": {"typed", "marked"},
     "ExcitationProblem": {"coefficients", "hung", "objective", "constraints", "slopes", "jacobian",
                           "directional_derivative", "weighted_gradient", "excess", "bounds"},
     "HydraulicProblem": {"stretches_of"},

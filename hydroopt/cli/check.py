@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hydroopt.cli.options import EstimateFolder, TrainingLogs, refuse_given
-from hydroopt.cli.run import LOGS, SMOOTHING, Run, command, print_answer, refuse_refuted
+from hydroopt.cli.run import LOGS, SMOOTHING, Run, command, print_answer, refuse_suspect
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import SolverError
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
 
 
-@command(*LOGS, *SMOOTHING, "reserve", "quiet", "as_json")
+@command(*LOGS, *SMOOTHING, "reserve", "force", "quiet", "as_json")
 def check(
     run: Run,
     logs: TrainingLogs,
@@ -92,7 +92,8 @@ def _answered(run: Run, found: LogCheck | MotionCheck | PostureCheck, logs: Sequ
     elif not run.quiet:
         print_answer(found)
     where = str(output or ", ".join(map(str, logs)))
-    refuse_refuted(found, where)
+    if found.refuted:
+        refuse_suspect(found, where)
     if isinstance(found, MotionCheck) and (broken := list(dict.fromkeys(
             each.use.name for each in found.table if each.broken))):
         raise SolverError(f"the motion breaks {', '.join(broken)}", where=where,

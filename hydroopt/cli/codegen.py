@@ -12,7 +12,7 @@ from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo
 
 
-@command("output", "parameter_set", "quiet", machine=MachineOrFolder)
+@command("output", "parameter_set", "force", "quiet", machine=MachineOrFolder)
 def codegen(
     run: Run,
     functions: Annotated[list[str] | None, typer.Option(
@@ -36,6 +36,7 @@ def codegen(
     from hydroopt.results.machine_diagnostics import machine_diagnostics
 
     described, origin = codegen_origin.read(run.named, parameter_set=run.parameter_set)
+    run.trusted(described)
     with run.progress(f"writing C for {described.name}") as say:
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
                     fold_geometry=fold_geometry, measured=sizes, hosts=hosts or ())

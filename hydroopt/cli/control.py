@@ -76,6 +76,7 @@ def control(
         raise ProblemError(f"gains cannot be multiplied by {gain:g}", where="--gain", remedy="give a number such as 1")
     refuse_places(run.output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
     described, origin = parameter_source.read(run.named, parameter_set=run.parameter_set)
+    run.trusted(described)
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time

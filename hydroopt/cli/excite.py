@@ -99,6 +99,7 @@ def excite(
     refuse_places(run.output, (FILES[Job.EXCITATION], "report.html", "sheet.html", "trajectory.csv",
                                "trajectory.parquet", "approach.csv", "approach.parquet"))
     described, origin = parameter_source.read(run.named, parameter_set=run.parameter_set)
+    run.trusted(described)
     basis = _basis(duration, pieces, period, harmonics, blend, described.bandwidth)
     resting = _positions(described, rest or (), "--rest")
     pace, standing = to_si(speed, "1", where="--speed"), _positions(described, start or (), "--start")

@@ -10,7 +10,7 @@ import typer
 
 from hydroopt.cli.options import LOSSES, Holdout, LossName, TrainingLogs, Validation, one_of
 from hydroopt.cli.run import ANSWER, LOGS, SMOOTHING, Run, command
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.problem import IdentificationProblem
@@ -56,8 +56,6 @@ def identify(
     free: Annotated[str | None, typer.Option(help=(
         "Faults of instruments to estimate along, separated by commas: delay, lag, clock, tilt, gain, offset, drift, "
         "friction, one with its subject such as 'delay boom.q', or instruments."))] = None,
-    force: Annotated[bool, typer.Option("--force", help=(
-        "Save the calibrated machine even if the logs contradict the machine file as they are read."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
 ) -> None:
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine.
@@ -112,15 +110,12 @@ def identify(
                                            ridge=ridge, seed=run.seed)
         say("testing the fit", 0.4)
         _ = estimate.diagnostics  # computed here, and kept
-        kept = {f"{estimate.machine_name}.toml": dump_machine(estimate.machine)} if force and estimate.refuted else {}
+        kept = {f"{estimate.machine_name}.toml": dump_machine(
+            estimate.marked(estimate.machine))} if run.force and estimate.refuted else {}
         estimate = run.saved(estimate, say, kept)
     choice = estimate.friction_choice
     text = str(estimate) if choice is None else f"{choice}\n{choice.rule}\n{estimate}"
-    run.show(estimate, text, forced=True)
-    if estimate.refuted and not force:
-        raise SolverError("the logs contradict the machine file, and no calibrated machine is saved",
-                          where=str(run.output),
-                          remedy="correct what the diagnostics name, or save it all the same with --force")
+    run.show(estimate, text)
 
 
 def _with_noisy_angles(problem: IdentificationProblem, fitted_motion: bool, instruments: list[Path] | None,

@@ -31,6 +31,8 @@ MachineOrFolder = Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
     "A machine, or the directory that identify or calibrate wrote."))]
 ParameterSetName = Annotated[str | None, typer.Option(
     "--set", help="Which of the machine file's sets of inertial parameters to use.")]
+Force = Annotated[bool, typer.Option("--force", help=(
+    "Accept a machine or an answer that is suspect: what is made of it says so, and the exit code is 0."))]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print no progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Directory = Annotated[Path, typer.Option("-o", "--output", help="Directory that receives everything.")]

@@ -10,7 +10,7 @@ from hydroopt.cli.run import Run, command
 from hydroopt.cli.terminal import echo
 
 
-@command("output", "quiet")
+@command("output", "force", "quiet")
 def plan_valve_test(
     run: Run,
     per_actuator: Annotated[float, typer.Option(help="Duration of the test of each actuator [s].")] = 10.0,

@@ -34,9 +34,9 @@ SHARED: dict[str, Any] = {
     "output": options.Directory, "map_file": options.MapFile, "treat": options.Treat,
     "smoothing_text": options.SmoothingText, "bandwidth": options.Bandwidth, "fix": options.Fixed,
     "reserve": options.Reserve, "seed": options.Seed, "parameter_set": options.ParameterSetName,
-    "quiet": options.Quiet, "as_json": options.AsJson}
+    "force": options.Force, "quiet": options.Quiet, "as_json": options.AsJson}
 """The options that several commands share, by the attribute of `Run` that holds their value."""
-ANSWER = ("output", "quiet", "as_json")
+ANSWER = ("output", "force", "quiet", "as_json")
 """Options of every command that saves an answer."""
 LOGS = ("map_file", "treat", "parameter_set")
 """Options of every command that reads logs."""
@@ -63,16 +63,32 @@ class Run:
     reserve: list[str] | None = None
     seed: int = 0
     parameter_set: str | None = None
+    force: bool = False
     quiet: bool = False
     as_json: bool = False
     began: float = field(default_factory=time.perf_counter)
 
     @cached_property
     def machine(self) -> Machine:
-        """The machine that was named."""
+        """The machine that was named.
+
+        Raises:
+            SolverError: its numbers are those of a suspect answer.
+        """
         from hydroopt.machine.machine_file import load_machine
 
-        return load_machine(self.named, parameter_set=self.parameter_set)
+        return self.trusted(load_machine(self.named, parameter_set=self.parameter_set))
+
+    def trusted(self, machine: Machine) -> Machine:
+        """The same machine, where its numbers are not those of a suspect answer, or that is accepted.
+
+        Raises:
+            SolverError: they are.
+        """
+        if machine.suspect and not self.force:
+            raise SolverError(f"its numbers are those of a suspect answer: {machine.suspect.rstrip('.')}",
+                              where=self.named, remedy="correct what that says, or accept it with --force")
+        return machine
 
     @property
     def smoothing(self) -> Smoothing:
@@ -156,16 +172,15 @@ class Run:
                   wall_s=time.perf_counter() - self.began, **how)
         return made
 
-    def show(self, answer: Answer, text: str = "", *, forced: bool = False) -> None:
+    def show(self, answer: Answer, text: str = "") -> None:
         """Print an answer that was saved: its JSON file, or verdict, text, diagnostics and the name of its page.
 
         Args:
             answer: what was saved.
             text: printed instead of `str(answer)`.
-            forced: accept an answer whose logs contradict the machine file.
 
         Raises:
-            SolverError: the logs contradict the machine file.
+            SolverError: the answer is suspect.
         """
         from hydroopt.results import json_file
 
@@ -175,8 +190,8 @@ class Run:
             print_answer(answer, text)
             if (self.output / "report.html").is_file():
                 echo(f"{self.output / 'report.html'}")
-        if not forced:
-            refuse_refuted(answer, str(self.output))
+        if not self.force:
+            refuse_suspect(answer, str(self.output))
 
 
 def print_answer(answer: Answer, text: str = "") -> None:
@@ -192,15 +207,18 @@ def print_answer(answer: Answer, text: str = "") -> None:
             echo(f"  ! {sentence}")
 
 
-def refuse_refuted(answer: Answer, where: str) -> None:
-    """Refuse an answer, already saved and printed, whose logs contradict the machine file: the exit code is 3.
+def refuse_suspect(answer: Answer, where: str) -> None:
+    """Refuse an answer that was saved and printed, if it is suspect: the exit code is 3.
 
     Raises:
-        SolverError: the logs contradict the machine file.
+        SolverError: it is.
     """
-    if answer.refuted:
-        raise SolverError("the logs contradict the machine file, so that this answer cannot be trusted", where=where,
-                          remedy="correct what the diagnostics name")
+    from hydroopt.results.status import Status
+
+    if answer.status is not Status.OK:
+        found = "the logs contradict the machine file" if answer.refuted else "something contradicts it"
+        raise SolverError(f"{found}, so that this answer cannot be trusted", where=where,
+                          remedy="correct what the diagnostics name, or accept it with --force")
 
 
 def command(*shared: str, machine: Any = options.MachineName) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -23,7 +23,7 @@ UNKNOWN = 0.25
 """Standard deviation of a joint's position, as a part of its range, beyond which it is not determined."""
 
 
-@command("parameter_set", "as_json")
+@command("parameter_set", "force", "as_json")
 def show(
     run: Run,
     hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(

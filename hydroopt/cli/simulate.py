@@ -29,7 +29,7 @@ HALVINGS = 6
 """How often the amplitude of a random motion is halved until supply and joint ranges allow it."""
 
 
-@command("output", "map_file", "seed", "parameter_set", "quiet")
+@command("output", "map_file", "seed", "parameter_set", "force", "quiet")
 def simulate(
     run: Run,
     motion: MotionFile = None,

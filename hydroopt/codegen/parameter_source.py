@@ -32,7 +32,7 @@ def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Ori
     folder = Path(source)
     if source in bundled() or not os.path.isdir(folder):
         machine = load_machine(source, parameter_set=parameter_set)
-        return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
+        return machine, Origin(f"nominal values of the machine {machine.name}{_suspect(machine)}", machine.sha256)
     if parameter_set is not None:
         raise ProblemError("an estimate has one set of parameters", where="--set", remedy="leave it out")
     answer = load(folder)
@@ -45,8 +45,14 @@ def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Ori
                            remedy="see its 'diagnostics', then identify or calibrate with more data or another method")
     machine = load_machine(folder / f"{answer.machine_name}.toml")
     created = str(answer.content().get("created", "an unknown day"))
-    return machine, Origin(f"estimate of {machine.name} by {_plain(answer.method)} on {_plain(created)}",
+    return machine, Origin(f"estimate of {machine.name} by {_plain(answer.method)} on {_plain(created)}"
+                           f"{_suspect(machine)}",
                            hashlib.sha256(file.read_bytes()).hexdigest())
+
+
+def _suspect(machine: Machine) -> str:
+    """What C and controllers say of numbers that are not to be trusted."""
+    return ", SUSPECT, see its machine file" if machine.suspect else ""
 
 
 def _plain(text: str) -> str:

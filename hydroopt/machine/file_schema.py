@@ -43,6 +43,8 @@ class Parts(Noun):
     """Chosen set of inertial parameters."""
     description: str = ""
     """What it is, in words."""
+    suspect: str = ""
+    """Why the answer that its numbers are from is not to be trusted; commands refuse such a machine."""
     gravity: Acceleration = Field(9.80665, ge=0)
     """Acceleration of gravity, along −z of the world."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)

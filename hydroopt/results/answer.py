@@ -161,6 +161,10 @@ class Answer(Drawn, ABC):
         """Whether the data contradict the machine file as they are read, so that commands end with exit code 3."""
         return any(each.meaning is Meaning.REFUTATION for each in self.diagnostics)
 
+    def marked(self, machine: Machine) -> Machine:
+        """A machine with numbers of this answer, which says so where the answer is suspect."""
+        return machine.model_copy(update={"suspect": self.verdict.cause if self.status is Status.SUSPECT else ""})
+
     @property
     @abstractmethod
     def diagnostics(self) -> tuple[Diagnostic, ...]:

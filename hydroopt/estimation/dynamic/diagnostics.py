@@ -23,8 +23,6 @@ from hydroopt.results.tables import number
 
 OVERFITTED = 2.0
 """Validation error, as a multiple of the training error, that is worth a diagnostic."""
-UNEXPLAINED = 0.4
-"""Error of an actuator as a part of its force, sensors' noise taken out, beyond which the model does not explain it."""
 NOT_EXCITED = "not excited"
 """Kind of the diagnostic of parameters that this motion does not show, but another one would."""
 ABOVE_NOISE, WEAK = 1.5, 2.0
@@ -53,8 +51,7 @@ def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
 
 
 def _prediction(found: Identification) -> Iterator[Diagnostic]:
-    """Prediction errors on validation data, and actuators that the model does not explain."""
-    yield from _unexplained(found)
+    """Prediction errors on validation data."""
     if "validation" not in found.fit:
         yield Diagnostic.of("no validation data", (), {}, (
             "No log was held out, so the prediction of unseen data is not known."),
@@ -83,24 +80,6 @@ def _prediction(found: Identification) -> Iterator[Diagnostic]:
                 "ratio": number(held_out.rms / trained.rms) if trained.rms else None},
                 "The validation error of {subject} is {ratio:.1f} times the training error.",
                 "The model is overfitted, or the motions differ in kind: train with more varied motion.")
-
-
-def _unexplained(found: Identification) -> Iterator[Diagnostic]:
-    """Actuators, one by one, whose error beyond their sensors' noise is a large part of their force."""
-    data = "validation" if "validation" in found.fit else "training"
-    table = found.fit["validation" if data == "validation" else "train"]
-    stated = np.nan_to_num(force_noise(found.problem.model, found.problem.experiments[0].log))
-    for balance, noise in zip(found.problem.model.machine.balances, stated, strict=True):
-        fit = table.get(balance.name)
-        if fit is None:  # not measured in these logs
-            continue
-        beyond = np.sqrt(max(fit.rms**2 - (ABOVE_NOISE * noise) ** 2, 0.0))
-        if beyond and UNEXPLAINED * fit.rms < fit.relative * beyond and fit.relative <= 1:
-            yield Diagnostic.of("actuator not explained by the model", (balance.name,), {
-                "relative": fit.relative, "data": data},
-                "The model does not explain {subject}: in the {data} logs its forces are off by {relative:.0f %}, "
-                "beyond its sensors' noise.",
-                "Claims contain it. Look for friction, gears or a load that the machine file lacks.")
 
 
 def uncertain_positions(found: Identification) -> Iterator[Diagnostic]:

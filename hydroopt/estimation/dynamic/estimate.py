@@ -226,7 +226,7 @@ class Estimate(Identification, Answer):
         if self.refuted:  # a machine identified from a misread log is none
             return files
         with contextlib.suppress(ProblemError):  # a diagnostic states the reason
-            files[f"{self.machine_name}.toml"] = dump_machine(self.machine)
+            files[f"{self.machine_name}.toml"] = dump_machine(self.marked(self.machine))
         return files
 
 

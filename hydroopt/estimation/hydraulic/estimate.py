@@ -229,7 +229,8 @@ class HydraulicEstimate(Answer):
         Raises:
             SolverError: a free run diverged.
         """
-        return {f"{self.machine_name}.toml": dump_machine(self.machine), "parameters.csv": self.parameters.to_csv(),
+        return {f"{self.machine_name}.toml": dump_machine(self.marked(self.machine)),
+                "parameters.csv": self.parameters.to_csv(),
                 "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
                                      for data, table in self.fit.items() for channel, fit in table.items()]),
                 "free_run.csv": csv_text(list(self._samples()))}

@@ -288,17 +288,6 @@ class LinearModel(Generic[H]):
             yield np.outer(std, std) * information, std * toward[own]
             first += len(std)
 
-    def correlation(self, one: Array, other: Array) -> float:
-        """Largest correlation of two hypotheses' effects beside the nuisances: near 1, these data do not separate them.
-        """
-        both, k = np.hstack([one, other]), one.shape[1]
-        weighted = both / self.fit.variance[self.layout.group, None]
-        cross = self.nuisances.T @ weighted
-        table = both.T @ weighted - cross.T @ self.fit.covariance @ cross
-        roots = [np.linalg.pinv(np.linalg.cholesky(part + 1e-12 * np.trace(part) * np.eye(len(part))))
-                 for part in (table[:k, :k], table[k:, k:])]
-        return float(np.linalg.norm(roots[0] @ table[:k, k:] @ roots[1].T, 2))
-
 
 def _agreement(expected: Array, scatter: Array) -> float:
     """p-value of Student's t of all blocks' evidence, by how that of single blocks scatters about what is expected."""

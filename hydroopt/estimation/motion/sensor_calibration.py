@@ -301,7 +301,7 @@ class SensorCalibration(Answer):
         """Tables as CSV, the calibrated machine, and the motion of each stretch."""
         units = self.problem.machine.channel_units
         made: dict[str, str | bytes] = {"parameters.csv": self.parameters.to_csv(),
-                                        f"{self.machine_name}.toml": dump_machine(self.machine)}
+                                        f"{self.machine_name}.toml": dump_machine(self.marked(self.machine))}
         for k, course in enumerate(self.motions, start=1):
             columns = {f"{name} [{'s' if name == 't' else units[name.replace('_std', '')]}]": values
                        for name, values in course.items()}
