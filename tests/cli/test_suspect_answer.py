@@ -32,7 +32,8 @@ def suspect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ["show", "MACHINE"], ["codegen", "MACHINE", "-o", "c"], ["codegen", "out", "-o", "c"],
     ["simulate", "MACHINE", "--duration", "5", "-o", "run"], ["check", "MACHINE", "log.csv"],
     ["excite", "out", "-o", "e"], ["control", "out", "--motion", "log.csv", "-o", "loops"],
-    ["plan-poses", "MACHINE", "-n", "5", "-o", "poses"], ["weigh", "MACHINE", "log.csv", "--calibration", "log.csv", "-o", "w"],
+    ["plan-poses", "MACHINE", "-n", "5", "-o", "poses"],
+    ["weigh", "MACHINE", "log.csv", "--calibration", "log.csv", "--full-scale", "100 kg", "-o", "w"],
     ["identify", "MACHINE", "log.csv", "-o", "again"]], ids=lambda arguments: " ".join(arguments[:2]))
 def test_commands_refuse_its_machine(suspect: Path, tmp_path: Path, arguments: list[str]) -> None:
     places = {"MACHINE": suspect / "out/patu655_lift.toml", "log.csv": suspect / "log.csv", "out": suspect / "out"}
