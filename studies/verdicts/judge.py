@@ -103,9 +103,14 @@ def _intervals(truth: Truth, estimate: ho.Estimate) -> dict[str, Any]:
     """Normalised errors of base parameters."""
     psi = _true_psi(truth, estimate.problem.parameters.names)
     base = estimate.identifiability
-    z = (estimate.base_value - base.grouping @ psi) / estimate.base_std
+    z = (estimate.base_value - base.grouping @ psi) / _stated(estimate)
     names = [estimate.problem.parameters.names[k] for k in base.basis]
     return {"z": {name: round(float(value), 2) for name, value in zip(names, z, strict=True)}}
+
+
+def _stated(estimate: ho.Estimate) -> Array:
+    """Standard deviations of base parameters, as they are stated."""
+    return np.array([each["std"] for each in estimate.base_parameters], dtype=float)
 
 
 def _true_psi(truth: Truth, names: tuple[str, ...]) -> Array:
@@ -174,7 +179,7 @@ def _witness(truth: Truth, own: Kind, seed: int, train: Recording, row: dict[str
         for key, value in zip([f"{name}.{key}" for key in keys] if len(step) > 1 else [name], step, strict=True):
             if key in known:
                 psi[known.index(key)] += value * amount
-    half = 1.96 * estimate.base_std
+    half = 1.96 * _stated(estimate)
     counted = [row["kind"] not in OTHER_FRICTION or not known[k].endswith(("_coulomb", "_viscous"))
                for k in base.basis]
     moved = np.max((np.abs(base.grouping @ psi) / half)[counted])
