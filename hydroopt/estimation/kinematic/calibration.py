@@ -41,6 +41,7 @@ from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution, uni
 from hydroopt.estimation.kinematic.suspects import find_suspects
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
@@ -159,7 +160,7 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.STATE, (
                 f"Where the tip's place matters, state a sigma of {', '.join(self.workspace.exact)}, and what measures "
                 "the tip, a calibrator or a tracker, in the machine file.")))
-        if self.written.text and self.status is Status.OK:
+        if self.written.machine is not None and self.status is Status.OK:
             steps.append(NextStep(Action.USE, *self.using_machine))
         return tuple(steps)
 
@@ -283,8 +284,9 @@ class Calibration(KinematicSolution, Answer):
             roles = {"train": self.problem.poses, "validation": self.problem.validation}
             files["sides.csv"] = csv_text(table_of(self.sides, {role: poses.row for role, poses in roles.items()
                                                                 if poses is not None}))
-        text = self.written.text
-        return files | ({f"{self.machine_name}.toml": text} if text else {})
+        if self.written.machine is not None:
+            files[f"{self.machine_name}.toml"] = dump_machine(self.marked(self.written.machine))
+        return files
 
     def _residual_rows(self) -> list[dict[str, Any]]:
         """One row a pose: its residuals [m] at the nominal and at the calibrated geometry."""

@@ -213,11 +213,10 @@ class WidenedLimits(NamedTuple):
 
 
 class CalibratedMachine(NamedTuple):
-    """The machine with the calibrated geometry, the text of its file, and joint limits that gave way, to strokes and
-    to poses. Without a machine the `reason` why none can have this geometry."""
+    """The machine with the calibrated geometry, and joint limits that gave way, to strokes and to poses. Without a
+    machine the `reason` why none can have this geometry."""
 
     machine: Machine | None = None
-    text: str = ""
     reason: str = ""
     narrowed: tuple[NarrowedLimits, ...] = ()
     widened: tuple[WidenedLimits, ...] = ()
@@ -240,11 +239,10 @@ def _calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
         reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
         made, narrowed = within_strokes(with_calibrated(
             reached, found, f"calibrated by {solution.algorithm} from {problem.poses.name}", problem.fixed))
-        text = dump_machine(made)
-        read_machine(text, where="the calibrated machine")
+        read_machine(dump_machine(made), where="the calibrated machine")
     except (HydrooptError, ValueError) as error:
         return CalibratedMachine(reason=str(error).splitlines()[0])
-    return CalibratedMachine(made, text, "", narrowed, widened)
+    return CalibratedMachine(made, "", narrowed, widened)
 
 
 def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
