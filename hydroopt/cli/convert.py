@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _ASKED = (("bore", "bore, e.g. 100 mm"), ("rod_diameter", "diameter of the rod, e.g. 56 mm"))
 
 
-@command("parameter_set", "quiet", machine=MachineOrFolder)
+@command("parameter_set", "force", "quiet", machine=MachineOrFolder)
 def convert(
     run: Run,
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending names the format.")],
@@ -54,7 +54,7 @@ def convert(
         described = read(machine, parameter_set=run.parameter_set)[0]
     else:
         described = load_machine(machine, parameter_set=run.parameter_set, tip=tip)
-    written = robot_files(described, target)
+    written = robot_files(run.trusted(described), target)
     write_files(target.parent, written.files | extra)
     if not run.quiet:
         echo(", ".join(str(target.parent / name) for name in (*written.files, *extra)))

@@ -162,8 +162,9 @@ class Answer(Drawn, ABC):
         return any(each.meaning is Meaning.REFUTATION for each in self.diagnostics)
 
     def marked(self, machine: Machine) -> Machine:
-        """A machine with numbers of this answer, which says so where the answer is suspect."""
-        return machine.model_copy(update={"suspect": self.verdict.cause if self.status is Status.SUSPECT else ""})
+        """A machine with numbers of this answer, which says so where the answer is suspect, or the machine was before.
+        """
+        return machine if self.status is Status.OK else machine.model_copy(update={"suspect": self.verdict.cause})
 
     @property
     @abstractmethod

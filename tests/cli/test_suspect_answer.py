@@ -34,10 +34,11 @@ def suspect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ["excite", "out", "-o", "e"], ["control", "out", "--motion", "log.csv", "-o", "loops"],
     ["plan-poses", "MACHINE", "-n", "5", "-o", "poses"],
     ["weigh", "MACHINE", "log.csv", "--calibration", "log.csv", "--full-scale", "100 kg", "-o", "w"],
+    ["convert", "MACHINE", "arm.urdf"],
     ["identify", "MACHINE", "log.csv", "-o", "again"]], ids=lambda arguments: " ".join(arguments[:2]))
 def test_commands_refuse_its_machine(suspect: Path, tmp_path: Path, arguments: list[str]) -> None:
     places = {"MACHINE": suspect / "out/patu655_lift.toml", "log.csv": suspect / "log.csv", "out": suspect / "out"}
-    made = [str(places.get(each, tmp_path / each if arguments[k - 1] == "-o" else each))
+    made = [str(places.get(each, tmp_path / each if arguments[k - 1] == "-o" or each == "arm.urdf" else each))
             for k, each in enumerate(arguments)]
     done = CliRunner().invoke(app, made)
     assert isinstance(done.exception, SolverError), done.output
@@ -56,3 +57,6 @@ def test_what_is_made_by_force_says_so(suspect: Path, tmp_path: Path) -> None:
                                     "-o", str(tmp_path / "again")])
     assert done.exit_code == 0, done.output
     assert ho.load_machine(tmp_path / "again/patu655_lift.toml").suspect
+    done = CliRunner().invoke(app, ["convert", str(suspect / "out"), str(tmp_path / "kept.toml"), "--force"])
+    assert done.exit_code == 0, done.output
+    assert ho.load_machine(tmp_path / "kept.toml").suspect

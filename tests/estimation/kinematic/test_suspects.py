@@ -14,6 +14,7 @@ from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.status import Status
@@ -59,6 +60,8 @@ def test_one_fault_is_named(sound: Poses, kind: str, name: str, first: int, erro
     assert found == [(kind, name, True)]
     assert abs(int(np.argmax(calibration.suspects[0].poses)) - first) <= 1
     assert calibration.status is (Status.OK if kind == "pose" else Status.SUSPECT)
+    (written,) = (text for name, text in calibration.files().items() if name.endswith(".toml"))
+    assert bool(read_machine(written).suspect) == (calibration.status is Status.SUSPECT)
 
 
 def test_what_the_data_do_not_decide_is_left_open(sound: Poses) -> None:

@@ -45,7 +45,7 @@ def diagnose(found: Misfit, sums: Array, width: Array,
             "remedy": fault.remedy + _alike(uncertain, [fault, *rivals]),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor, "unit": fault.unit,
             "evidence": cause.evidence, "moves": number(moved), "tied": [other.name for other in rivals],
-            "others": f"; these data do not tell it from: {listed(list(dict.fromkeys(tied)), 3)}" if tied else "",
+            "others": f"; not distinguished from: {listed(list(dict.fromkeys(tied)), 3)}" if tied else "",
             "moved": "Intervals contain what it moves" if fault.lack else
                      "It moves parameters by more than is stated of them" if material else
                      "Parameters stay within what is stated of them"},

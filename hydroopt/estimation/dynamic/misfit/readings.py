@@ -115,12 +115,12 @@ class ForceReadings:
                 self.blocks += blocks
         parameters, joints = problem.parameters, len(problem.model.machine.joints)
         self._fitted = any(view.experiment.position_std is not None for view in self.views)
-        beside = np.concatenate([np.full(4 * len(self.views[0].lengths), GEOMETRY),
+        extra = np.concatenate([np.full(4 * len(self.views[0].lengths), GEOMETRY),
                                  np.ones(joints * (1 + self._fitted))])
         rows, right = problem.prior_rows
-        p, P = len(parameters), len(parameters) + len(beside)
+        p, P = len(parameters), len(parameters) + len(extra)
         self.prior, self.pull = np.zeros((P, P)), np.zeros(P)
-        self.prior[:p, :p], self.prior[range(p, P), range(p, P)] = rows.T @ rows, 1 / beside**2
+        self.prior[:p, :p], self.prior[range(p, P), range(p, P)] = rows.T @ rows, 1 / extra**2
         fixed = list(parameters.select(problem.fixed))
         self.prior[fixed, fixed] += 1e8 / parameters.scale[fixed] ** 2
         self.pull[:p] = rows.T @ (right - rows @ parameters.nominal)
@@ -141,12 +141,12 @@ class ForceReadings:
             taken, regressors = self._taken(key), [_with(view, chosen) for view in self.views]
             effects = [sum((fault.effect(view, size) for fault, size in chosen), start=np.zeros_like(view.residual))
                        for view in self.views]
-            beside = [np.concatenate([K, _geometry(view), view.by_position[:, :, : None if self._fitted else 0],
+            extra = [np.concatenate([K, _geometry(view), view.by_position[:, :, : None if self._fitted else 0],
                                       view.smoothed_away], axis=2)
                       for view, K in zip(self.views, regressors, strict=True)]
             left = [(view.residual + K @ self.from_nominal - effect)[:, :, None]
                     for view, K, effect in zip(self.views, regressors, effects, strict=True)]
-            model = LinearModel[Fault].of(self._rows(beside, taken), self._rows(left, taken)[:, 0], self._layout(taken),
+            model = LinearModel[Fault].of(self._rows(extra, taken), self._rows(left, taken)[:, 0], self._layout(taken),
                                           self.prior, self.pull)
             for (fault, size), (plain, _) in zip(chosen, key, strict=True):
                 columns = [fault.columns(view, np.array([size])) for view in self.views]
