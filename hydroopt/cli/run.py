@@ -195,16 +195,13 @@ class Run:
 
 
 def print_answer(answer: Answer, text: str = "") -> None:
-    """Print the verdict of an answer, its text (or another one), and its diagnostics."""
-    from hydroopt.results.diagnostic import summary
-    from hydroopt.results.verdict import WIDTH
+    """Print the verdict of an answer, its text (or another one), and as many diagnostics as a terminal has room for."""
+    from hydroopt.results.verdict import WIDTH, noted
 
-    echo(f"{answer.verdict.card(shutil.get_terminal_size(fallback=(WIDTH, 24)).columns)}\n")
-    echo(text or str(answer))
-    for heading, sentences in summary(answer.diagnostics).items():
-        echo(f"{heading}:")
-        for sentence in sentences:
-            echo(f"  ! {sentence}")
+    columns, rows = shutil.get_terminal_size(fallback=(WIDTH, 24))
+    printed = f"{answer.verdict.card(columns)}\n\n{text or answer}"
+    notes = noted(answer.diagnostics, answer.verdict.cause, columns, rows - len(printed.splitlines()) - 2)
+    echo("\n".join([printed, *notes]))
 
 
 def refuse_suspect(answer: Answer, where: str) -> None:

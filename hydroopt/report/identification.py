@@ -15,6 +15,7 @@ from hydroopt.report.panels import SI
 from hydroopt.report.samples import Recording, Samples, joined
 from hydroopt.report.scene import SceneView, Tint
 from hydroopt.report.tables import FitCells, Parameter, by_owner, fit_cells, fit_rows
+from hydroopt.results.verdict import Purpose
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
@@ -176,6 +177,7 @@ def _columns(estimate: Estimate, data: Experiment, predicted: Array) -> dict[str
         columns |= {f"{joint}.q": motion.q[:, k], f"{joint}.angle": turn * motion.q[:, k],
                     f"{joint}.speed": turn * motion.qd[:, k]}
     *others, identified = estimate.variants.items()
+    bounds = {each.of: each.bound for each in estimate.verdict.said if each.purpose is Purpose.FORCE}
     forecasts = {name: estimate.predict(data, psi) for name, psi in others} | {identified[0]: predicted}
     for k, balance in enumerate(machine.balances):
         size = _factor(estimate, k)
@@ -184,6 +186,9 @@ def _columns(estimate: Estimate, data: Experiment, predicted: Array) -> dict[str
             columns[f"{balance.name}.{name}"] = np.where(data.inside, size * forces[:, k], np.nan)
         residual = size * np.where(data.inside, data.force[:, k] - predicted[:, k], np.nan)
         columns[f"{balance.name}.residual"] = residual
+        if (bound := bounds.get(balance.name)) is not None:
+            columns |= {f"{balance.name}.{side}": np.where(data.inside, size * (predicted[:, k] + sign * bound), np.nan)
+                        for side, sign in (("low", -1), ("high", 1))}
         columns[f"{balance.name}.known"] = np.where(data.known[:, k], residual, np.nan)
         columns[f"{balance.name}.weighed"] = residual / (size * estimate.sigma[k])
     return columns
@@ -204,8 +209,10 @@ def _charts(estimate: Estimate, made: Samples) -> dict[str, list[Chart]]:
         lines = (Line(f"{name}.measured", "measured", "measured"),
                  *(Line(f"{name}.{other}", other, LOOKS[other], dashed=True) for other in others),
                  Line(f"{name}.{identified}", f"{identified}, identified"))
-        shown["forces"].append(TimeChart(f"{name}: {word} [{printed}]", lines, _description(estimate, name),
-                                         span=_span(made.columns[f"{name}.measured"])))
+        shown["forces"].append(TimeChart(
+            f"{name}: {word} [{printed}]", lines, _description(estimate, name),
+            span=_span(made.columns[f"{name}.measured"]),
+            shaded=(("predicted", f"{name}.low", f"{name}.high"),) if f"{name}.low" in made.columns else ()))
         turn = "deg" if machine.position_unit(joint) == "rad" else "m"
         left = made.columns[f"{name}.known"]
         reach = max(1.1 * float(np.nanmax(np.abs(left), initial=0.0)), 1.5 * (within or (0.0, 0.0))[1]) or 1.0

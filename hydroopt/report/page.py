@@ -21,7 +21,7 @@ from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
 from hydroopt.report.scene import SceneView
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import NOT_SEPARABLE, Diagnostic, sentences
+from hydroopt.results.diagnostic import FIRST, Diagnostic, by_kind
 
 CODE = re.compile(r"(`[^`]+`|'hydroopt [^']*'|(?<![\w-])--[a-z][\w-]*(?: \w+=\w+)?)")
 """What a sentence shows as code: text between backticks, quoted commands, options."""
@@ -39,25 +39,6 @@ class Drawn(NamedTuple):
     title: str
     alt: str
     tall: int
-
-
-class Found(NamedTuple):
-    """Sentences about the data, sentences about machine and motion, and groups of parameters that the motion does not
-    separate: their names, effect and variance inflation, with the one remedy."""
-
-    data: list[str]
-    machine: list[str]
-    groups: list[tuple[str, str, str]]
-    remedy: str
-
-
-def _found(diagnostics: Sequence[Diagnostic]) -> Found:
-    groups = [each for each in diagnostics if each.kind == NOT_SEPARABLE]
-    return Found(sentences(each for each in diagnostics if not each.about_machine),
-                 sentences(each for each in diagnostics if each.about_machine and each.kind != NOT_SEPARABLE),
-                 [(", ".join(each.subject), str(each.evidence["effects"]),
-                   plain(float(each.evidence["variance_inflation"]), 2)) for each in groups],
-                 groups[0].remedy if groups else "")
 
 
 @cache
@@ -93,7 +74,7 @@ def document(template: str, *, answer: Answer | None = None, samples: Samples | 
         samples: columns that figures and machine share.
         charts: figures by the names under which the template shows them.
         scene: the machine in space.
-        diagnostics: of a page without an answer; the page parts them by what they are about.
+        diagnostics: of a page without an answer.
         content: whatever else the template shows.
     """
     samples = samples or Samples("", figures.NOTHING, {})
@@ -108,8 +89,10 @@ def document(template: str, *, answer: Answer | None = None, samples: Samples | 
     style = _text("templates", "style.css") + (_text("vendor", "uPlot.min.css") if flat else "")
     if answer is not None:
         diagnostics, content["verdict"] = answer.diagnostics, answer.verdict
+    found = by_kind(each for each in diagnostics if answer is None or each.text != answer.verdict.cause)
+    first = 0 if answer is None else FIRST
     return _environment().get_template(template).render(
-        answer=answer, charts=shown, scene=scene, found=_found(diagnostics),
+        answer=answer, charts=shown, scene=scene, noted=found[:first], further=found[first:],
         replayed=samples if len(samples.at) else None, policy=policy, style=Markup(style),
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")),
         scripts=[Markup(text) for text in scripts], **content)

@@ -261,15 +261,26 @@ class Answer(Drawn, ABC):
                 f"{len(self.parameters)} parameters, {len(self.diagnostics)} diagnostics>")
 
     def __str__(self) -> str:
-        lines = [f"{self.machine_name} by {self.method}: {self.status}"]
+        lines = [f"  {data:<10} {channel:<24} {fit}" for data, table in self.fit.items()
+                 for channel, fit in table.items()]
         if self.fit_by_model:
-            lines.append(f"  {'RMS error and VAF by model':<42}" + "".join(f"{name:>22}" for name in self.fit_by_model))
-        for data, table in self.fit.items():
-            for channel, fit in table.items():
-                beside = "".join(f"{one.rms:10.4g} {_percent(one.vaf)}" for one in (
-                    sets[data][channel] for sets in self.fit_by_model.values()))
-                lines.append(f"  {data:<10} {channel:<24} " + (f"{fit.unit:<5}{beside}" if beside else str(fit)))
-        return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
+            lines = self._fit_of_two_models()
+        return "\n".join([f"{self.machine_name} by {self.method}: {self.status}", *lines,
+                          *(f"  {finding.text}" for finding in self.findings)])
+
+    def _fit_of_two_models(self) -> list[str]:
+        """A line a channel: RMS error of the first and of the last model with its VAF, data sets side by side."""
+        names = dict.fromkeys((next(iter(self.fit_by_model)), [*self.fit_by_model][-1]))
+        lines = [f"  {'RMS error, VAF':<23}" + "".join(f"{data}: {', '.join(names)}".rjust(28) for data in self.fit)]
+        units = {channel: one.unit for table in self.fit.values() for channel, one in table.items()}
+        for channel, unit in units.items():
+            line = f"  {channel:<18} {unit:<4}"
+            for data, table in self.fit.items():
+                rms = "".join(f"{self.fit_by_model[name][data][channel].rms:9.4g}" for name in names
+                              if channel in table)
+                line += f"{rms}{_percent(table[channel].vaf)}".rjust(28) if rms else 28 * " "
+            lines.append(line.rstrip())
+        return lines
 
     def card(self) -> Card:
         """What a notebook shows: the verdict, the fit, the parameters, findings and diagnostics."""
@@ -475,4 +486,4 @@ def _kind(content: Mapping[str, Any]) -> type[Answer]:
 
 def _percent(part: float) -> str:
     """A part of one in per cent; a dash for NaN, as of what nothing measures."""
-    return f"{100 * part:9.2f} %" if math.isfinite(part) else f"{'–':>9}  "
+    return f"{100 * part:8.1f} %" if math.isfinite(part) else f"{'–':>8}  "

@@ -12,10 +12,8 @@ LEAST_P = 1e-15
 """p-value below which rounding errors leave no digit of it."""
 NAMED = 8
 """How many names of a list are written out."""
-NOT_SEPARABLE = "not separable in this motion"
-"""Kind of the diagnostic of a group of parameters that a motion does not separate."""
-DATA, MACHINE = "Data", "Machine and motion"
-"""Headings of diagnostics."""
+FIRST = 5
+"""Kinds of diagnostics that stand beside a verdict."""
 
 
 class Meaning(StrEnum):
@@ -118,34 +116,20 @@ def of_kind(diagnostics: Iterable[Diagnostic], *kinds: str) -> tuple[Diagnostic,
     return tuple(diagnostic for diagnostic in diagnostics if diagnostic.kind in kinds)
 
 
-def sentences(diagnostics: Iterable[Diagnostic]) -> list[str]:
-    """Text and remedy of each diagnostic; a remedy that several in a row share follows the last of them."""
-    found = list(diagnostics)
-    return [each.text if after is not None and after.remedy == each.remedy else str(each)
-            for each, after in zip(found, [*found[1:], None], strict=True)] if found else []
+def by_kind(diagnostics: Iterable[Diagnostic]) -> list[list[Diagnostic]]:
+    """Diagnostics in the order in which a reader needs them: contradictions one by one, then notes kind by kind, those
+    about the data before those about machine and motion.
 
-
-def summary(diagnostics: Iterable[Diagnostic]) -> dict[str, list[str]]:
-    """Sentences by heading, `DATA` before `MACHINE`; groups that are not separable in one sentence with their number.
-
-    >>> both = [Diagnostic("no validation data", (), {}, "No log was held out."),
-    ...         Diagnostic("not excited", ("boom.m",), {}, "Not excited: boom.m.", meaning=Meaning.PROPERTY)]
-    >>> [(heading, len(each)) for heading, each in summary(both).items()]
-    [('Data', 1), ('Machine and motion', 1)]
+    >>> both = [Diagnostic("not excited", ("boom.m",), {}, "Not excited: boom.m.", meaning=Meaning.PROPERTY),
+    ...         *(Diagnostic("oscillation", (name,), {}, f"{name} oscillates.") for name in ("boom", "stick"))]
+    >>> [[one.text for one in kind] for kind in by_kind(both)]
+    [['boom oscillates.', 'stick oscillates.'], ['Not excited: boom.m.']]
     """
-    found = list(diagnostics)
-    groups = of_kind(found, NOT_SEPARABLE)
-    machine = [each for each in found if each.about_machine and (each not in groups or len(groups) == 1)]
-    by_heading = {DATA: sentences(each for each in found if not each.about_machine),
-                  MACHINE: sentences(machine) + ([_not_separable(groups)] if len(groups) > 1 else [])}
-    return {heading: texts for heading, texts in by_heading.items() if texts}
-
-
-def _not_separable(groups: Sequence[Diagnostic]) -> str:
-    count = sum(len(group.subject) for group in groups)
-    return (f"{count} parameters in {len(groups)} groups are not separable in this motion: the data determine each "
-            f"group's joint effect, and the priors the rest. estimate.json and the report list them. "
-            f"{groups[-1].remedy.partition(': ')[2].capitalize()}")
+    kinds: dict[tuple[bool, bool, str], list[Diagnostic]] = {}
+    for each in diagnostics:
+        kinds.setdefault((not each.contradicts, each.about_machine, str(each) if each.contradicts else each.kind),
+                         []).append(each)
+    return [kinds[key] for key in sorted(kinds, key=lambda key: key[:2])]
 
 
 def probability(p: float) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from hydroopt.results.diagnostic import FIRST, Diagnostic, by_kind
 from hydroopt.results.parameter_table import ParameterRow
 from hydroopt.results.readable import percentage, readable
 from hydroopt.results.status import Status
@@ -132,11 +133,16 @@ class Claim:
         """Whether there were data to test the bound."""
         return self.usable is not Usable.UNTESTED
 
-    def __str__(self) -> str:
-        sign = " from " if self.purpose is Purpose.CHANGE else " ±"
+    @property
+    def size(self) -> str:
+        """The bound in print, with the part that it is."""
+        sign = "from " if self.purpose is Purpose.CHANGE else "±"
         size = "" if self.bound is None else f"{sign}{readable(self.bound, self.unit)}"
-        part = "" if self.part is None else f" ({percentage(self.part)})" if size else f" ±{percentage(self.part)}"
-        return f"{self.of}{size}{part}".strip()
+        part = "" if self.part is None else f" ({percentage(self.part)})" if size else f"±{percentage(self.part)}"
+        return f"{size}{part}"
+
+    def __str__(self) -> str:
+        return f"{self.of} {self.size}".strip()
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file."""
@@ -264,6 +270,11 @@ class Verdict:
         return tuple(each for each in self.claims
                      if each.about is About.READING or (each.purpose, each.of) not in read)
 
+    @property
+    def truths(self) -> dict[tuple[Purpose, str], Claim]:
+        """The claims about the truth by what they are about."""
+        return {(each.purpose, each.of): each for each in self.claims if each.about is About.TRUTH}
+
     def usable(self, purpose: Purpose, subject: str | None = None) -> bool:
         """Whether the answer is usable for a purpose: for one part of the machine, or for all that it is about."""
         about = [claim for claim in self.claims if claim.purpose is purpose and subject in (None, claim.of)]
@@ -318,6 +329,31 @@ class Verdict:
                 "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
                                for purpose in dict.fromkeys(each.purpose for each in self.claims)
                                if purpose in THRESHOLDS}}
+
+
+def noted(diagnostics: Iterable[Diagnostic], cause: str, width: int, room: int) -> list[str]:
+    """Diagnostics as lines for a terminal: what contradicts, then the first note of each kind, at most `FIRST` of them.
+
+    Args:
+        diagnostics: of an answer.
+        cause: the sentence that its verdict states already.
+        width: characters of a line.
+        room: lines that notes may take beyond the first.
+
+    >>> some = [Diagnostic("oscillation", (name,), {}, f"{name} oscillates.") for name in ("boom", "stick")]
+    >>> print(*noted(some, "", 80, 5), sep="\\n")
+      note        boom oscillates. One more like it.
+    """
+    kinds, lines, shown = by_kind(each for each in diagnostics if each.text != cause), list[str](), 0
+    for k, (first, *others) in enumerate(kinds):
+        alike = "" if not others else " One more like it." if len(others) == 1 else f" {len(others)} more like it."
+        said = first.text if first.contradicts else f"{first.text}{alike} {first.remedy}"
+        wrapped = _wrapped(said.strip(), "and" if first.contradicts else "note", width)
+        if not first.contradicts and (k >= FIRST or (k and len(lines) + len(wrapped) > room)):
+            lines.append(f"  {len(kinds) - shown} kinds of notes more are in the JSON file and the report")
+            break
+        lines, shown = lines + wrapped, shown + 1
+    return lines
 
 
 def _folded(claims: Sequence[Claim], most: int, *, conditions: bool) -> str:

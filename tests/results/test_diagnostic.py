@@ -10,13 +10,14 @@ from string import Formatter
 import pytest
 
 import hydroopt
-from hydroopt.results.diagnostic import DATA, MACHINE, NOT_SEPARABLE, Diagnostic, Meaning, summary
+from hydroopt.results.diagnostic import Diagnostic, Meaning
+from hydroopt.results.verdict import noted
 
 NO_VALIDATION = Diagnostic("no validation data", (), {}, "No log was held out.")
 
 
 def groups(*several: tuple[str, ...]) -> list[Diagnostic]:
-    return [Diagnostic.of(NOT_SEPARABLE, names, {"effects": "gravity", "variance_inflation": 200.0},
+    return [Diagnostic.of("not separable", names, {"effects": "gravity", "variance_inflation": 200.0},
                           "Not separable: {effects} ({subject}).", "Only together: reverse the motion.",
                           Meaning.PROPERTY) for names in several]
 
@@ -27,16 +28,21 @@ def test_what_contradicts_an_answer_is_not_a_property_of_its_machine(meaning: Me
     assert not (found.contradicts and found.about_machine)
 
 
-def test_groups_that_are_not_separable_are_one_line_with_their_number() -> None:
-    told = summary([*groups(("boom.m", "stick.m"), ("boom.mc_x", "boom.mc_y", "stick.mc_x")), NO_VALIDATION])
-    assert list(told) == [DATA, MACHINE]
-    (line,) = told[MACHINE]
-    assert line.startswith("5 parameters in 2 groups are not separable in this motion")
-    assert "Reverse the motion" in line
+def test_notes_of_one_kind_are_one_line_with_their_number() -> None:
+    found = [*groups(("boom.m", "stick.m"), ("boom.mc_x", "boom.mc_y", "stick.mc_x")), NO_VALIDATION]
+    first, *others = noted(found, "", 200, 10)
+    assert " ".join(first.split()) == "note No log was held out."
+    assert " ".join(" ".join(others).split()) == (
+        "note Not separable: gravity (boom.m, stick.m). One more like it. Only together: reverse the motion.")
 
 
-def test_a_single_group_is_named() -> None:
-    assert "boom.m, stick.m" in summary(groups(("boom.m", "stick.m")))[MACHINE][0]
+def test_contradictions_are_all_printed_but_not_twice() -> None:
+    wrong = [Diagnostic("misread", (name,), {}, f"{name} is reversed.", "Turn it.", Meaning.CONTRADICTION)
+             for name in ("boom.q", "stick.q", "swing.q")]
+    notes = [Diagnostic(str(k), (), {}, f"Note {k}.") for k in range(9)]
+    printed = [line.strip() for line in noted([*notes, *wrong], wrong[0].text, 80, 3)]
+    assert printed == ["and         stick.q is reversed.", "and         swing.q is reversed.", "note        Note 0.",
+                       "8 kinds of notes more are in the JSON file and the report"]
 
 
 def stated() -> Iterator[tuple[str, set[str], set[str]]]:

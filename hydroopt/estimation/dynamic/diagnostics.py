@@ -17,7 +17,7 @@ from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
 from hydroopt.parameters.dynamic import owners_with_confidence
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
-from hydroopt.results.diagnostic import NOT_SEPARABLE, Diagnostic, Meaning, in_samples, probability
+from hydroopt.results.diagnostic import Diagnostic, Meaning, in_samples, probability
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.tables import number
 
@@ -289,7 +289,7 @@ def _confounded(parameters: ParameterSet, found: Sequence[Confounded]) -> Iterat
     for group in sorted(groups, key=len):
         effects = sorted({_EFFECTS.get(kind := parameters.kind(name), kind.value) for name in group})
         worst = max(one.inflation for one in found if one.name in group)
-        yield Diagnostic.of(NOT_SEPARABLE, tuple(sorted(group)), {
+        yield Diagnostic.of("not separable in this motion", tuple(sorted(group)), {
             "effects": effects[0] if len(effects) == 1 else f"{', '.join(effects[:-1])} and {effects[-1]}",
             "variance_inflation": float(worst), "decades": round(float(np.log10(worst)))},
             "Not separable in this motion: {effects} ({subject}), whose variances are up to 10^{decades} times what "

@@ -78,7 +78,8 @@ class Estimate(Identification, Answer):
         late = () if self.misfit is None or self.misfit.found else reversals.diagnose(self)
         more = (*tested, *late, *diagnostics.diagnose(self))
         split = diagnostics.short_stretches(self) if any(each.contradicts for each in more) else ()
-        return (*self.of_logs, *split, *more)
+        shown = () if self.misfit is None else misfit_diagnostics.detectable(self.misfit)
+        return (*self.of_logs, *split, *more, *shown)
 
     @cached_property
     def of_logs(self) -> tuple[Diagnostic, ...]:
@@ -103,10 +104,8 @@ class Estimate(Identification, Answer):
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
-        """Sizes of freed faults, and the smallest faults that would have shown."""
-        shown = None if self.misfit is None else misfit_diagnostics.detectable(self.misfit)
-        freed = () if self.freed is None else tuple(misfit_diagnostics.freed_faults(self.freed))
-        return freed if shown is None else (*freed, shown)
+        """Sizes of freed faults."""
+        return () if self.freed is None else tuple(misfit_diagnostics.freed_faults(self.freed))
 
     @property
     def refuted(self) -> bool:

@@ -91,12 +91,13 @@ def uncertain_geometry(machine: Machine) -> dict[str, list[str]]:
             for joint in machine.joints}
 
 
-def detectable(found: Misfit) -> Diagnostic | None:
+def detectable(found: Misfit) -> Iterator[Diagnostic]:
     """The smallest faults that would have shown, group by group: silence about smaller ones means nothing."""
     said = [f"{group} {_two(low)} {unit}" if high < 1.2 * low else f"{group} {_two(low)} to {_two(high)} {unit}"
             for group, (low, high, unit) in found.shown.items()]
-    return Diagnostic.of("smallest faults that would show", (), {"sizes": ", ".join(said)}, (
-        "Faults of these sizes would have shown with a probability of 95 %: {sizes}.")) if said else None
+    if said:
+        yield Diagnostic.of("smallest faults that would show", (), {"sizes": ", ".join(said)}, (
+            "Faults of these sizes would have shown with a probability of 95 %: {sizes}."), meaning=Meaning.PROPERTY)
 
 
 def freed_faults(freed: Freed) -> Iterator[Diagnostic]:
