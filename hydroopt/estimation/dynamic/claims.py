@@ -12,8 +12,8 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
-from hydroopt.estimation.dynamic.left_out import LEVEL
 from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
+from hydroopt.estimation.inference.left_out import LEVEL
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.machine.actuators import Actuator, Drive
 from hydroopt.machine.balances import UnmeasuredJoint

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
-from hydroopt.estimation.dynamic.left_out import LeftOut, left_out
+from hydroopt.estimation.dynamic.left_out import left_out
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, reduced_parameters
 from hydroopt.estimation.dynamic.regressor_qr import predict
@@ -26,6 +26,7 @@ from hydroopt.estimation.inference.identifiability import (
     Identifiability,
 )
 from hydroopt.estimation.inference.least_squares import RidgeStrength, deviations
+from hydroopt.estimation.inference.left_out import LeftOut
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, Refuted, prior_test
 from hydroopt.estimation.inference.priors import prior_squares

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtrit
 
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.dynamic.experiment import Experiment
@@ -15,58 +13,11 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.reduced_model import WITH_PRIORS, most_probable
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
+from hydroopt.estimation.inference.left_out import BLOCKS, LeftOut
 from hydroopt.spatial.inertia import Array
 
-BLOCKS = 5
-"""Contiguous blocks of all logs together, each of which is predicted without it."""
 LONGEST = 20_000
 """Samples of a block that are looked at, from its first one on: more of them do not change what is left out."""
-ENOUGH = 3.0
-"""Effective number of blocks in which a force must be read, for a bound that holds for another one."""
-LEVEL = 0.95
-"""Probability with which the bound holds for one further block."""
-
-
-@dataclass(frozen=True, eq=False)
-class LeftOut:
-    """Errors of forces that were predicted without the samples where they occurred.
-
-    Attributes:
-        squares, counts: (b, r) sum of squared errors of each balance's force in each block or held-out log, and the
-            number of readings that it sums.
-    """
-
-    squares: Array
-    counts: Array
-
-    @property
-    def tested(self) -> Array:
-        """Which balances (r,) are read in `ENOUGH` blocks."""
-        return np.asarray(self._effective >= ENOUGH)
-
-    @property
-    def _share(self) -> Array:
-        return np.asarray(self.counts / np.maximum(self.counts.sum(axis=0), 1.0))
-
-    @property
-    def _effective(self) -> Array:
-        return np.asarray(1 / np.maximum(np.sum(self._share**2, axis=0), 1 / BLOCKS**2))
-
-    @property
-    def pooled(self) -> Array:
-        """Mean squared error (r,) over all blocks."""
-        return np.asarray(self.squares.sum(axis=0) / np.maximum(self.counts.sum(axis=0), 1.0))
-
-    @property
-    def bound(self) -> Array:
-        """RMS (r,) below which the error of a further block stays with the probability `LEVEL`: Student's t limit of
-        one more block, whose mean squares are about log-normal; never below the RMS of all blocks together."""
-        share, number = self._share, self._effective
-        logs = np.log(np.maximum(self.squares, 1e-300) / np.maximum(self.counts, 1.0))
-        mean = np.sum(share * logs, axis=0)
-        scatter = np.sum(share * (logs - mean) ** 2, axis=0) / np.maximum(1 - 1 / number, 1e-9)
-        limit = stdtrit(np.maximum(number - 1, 1.0), LEVEL) * np.sqrt(scatter * (1 + 1 / number))
-        return np.asarray(np.sqrt(np.maximum(self.pooled, np.exp(mean + limit))))
 
 
 def left_out(problem: IdentificationProblem, weighted: WeightedResiduals[IdentificationProblem], method: str,

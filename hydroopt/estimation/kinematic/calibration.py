@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,6 +20,7 @@ from hydroopt.estimation.kinematic.accuracy import (
 )
 from hydroopt.estimation.kinematic.compliance_choice import ComplianceChoice
 from hydroopt.estimation.kinematic.initial_guesses import closed_angles, follow_unsensed, guess_unsensed
+from hydroopt.estimation.kinematic.left_out import left_out
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.optimum import Optimum, optimum, random_start, solvable, with_farthest_pose
 from hydroopt.estimation.kinematic.pose_checks import (
@@ -50,7 +51,7 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.status import Status
 from hydroopt.results.tables import COVARIANCE, covariance_csv, csv_text, number
-from hydroopt.results.verdict import NORMAL, Action, Claim, NextStep, Purpose, Usable, determined, judged
+from hydroopt.results.verdict import NORMAL, About, Action, Claim, NextStep, Purpose, Usable, determined, judged
 from hydroopt.spatial.inertia import Array
 
 
@@ -122,8 +123,28 @@ class Calibration(KinematicSolution, Answer):
         held_out = "no held-out poses" if self.problem.validation is None else "tested on held-out poses"
         if self.tested is not None:
             held_out = f"errors of held-out poses {self.tested.ratio:.2g} times those stated"
-        return (self._end(held_out), *(determined(Purpose.LENGTH, each, condition="95 % intervals",
+        return (*self._unseen(), self._end(held_out), *(determined(Purpose.LENGTH, each, condition="95 % intervals",
                                   unknown="not determined by the poses") for each in self.parameters.rows))
+
+    def _unseen(self) -> Iterator[Claim]:
+        """How well the end's place is predicted, as the same sensors read it, in poses that took no part."""
+        name = next((name for name in ("gap", "tip") if name in self.fit["train"]), "")
+        rank = self.linearised.rank.sum()
+        if not name or self.algorithm != JOINT or not rank:
+            return
+        by_places, left = left_out(self.problem, self.linearised)
+        if not len(left.counts):
+            return
+        bound = float(self.fit["train"][name].rms * left.bound[0] / np.sqrt(self.linearised.pose_square.sum() / rank))
+        extent = float(np.linalg.norm(np.ptp(self.workspace.position, axis=0))) / 2
+        low, high = np.quantile(self.workspace.measured[:, 2], [0.0, 1.0])
+        among = f"{len(left.counts)} {'places' if by_places else 'blocks of poses'}, each predicted without it"
+        beyond = "heights" if by_places else "places and heights"
+        condition = (f"RMS of poses like those of the {among}, at heights of {low:.2f} to {high:.2f} m; other {beyond} "
+                     "are not covered: measure there")
+        yield judged(Purpose.POSITION, self.workspace.point, bound, "m", bound / extent if extent else np.nan,
+                     condition=condition, about=About.READING,
+                     untested="" if left.tested[0] else "too few poses can be predicted without them")
 
     def _end(self, held_out: str) -> Claim:
         """How well it places the machine's end."""

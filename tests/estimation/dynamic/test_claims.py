@@ -11,9 +11,9 @@ import pytest
 from hydroopt.estimation.dynamic import claims
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
-from hydroopt.estimation.dynamic.left_out import BLOCKS, LeftOut
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.estimation.inference.left_out import BLOCKS, LeftOut
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine_file import load_machine
