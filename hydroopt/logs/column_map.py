@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     BaseModel,
@@ -37,40 +37,42 @@ class ColumnMap(Stated):
 
     The offset alone is a value that holds throughout the file, such as the slope that the machine stood on. `group` is
     the sheet, topic or file in which the column stands, where several have one of that name, or a clock of the map. A
-    time `t` of dates needs no unit.
+    time `t` of dates needs no unit. ``variable = "angles", row = 2`` is another way to write ``column = "angles[2]"``.
     """
 
     column: Key | None = None
     minus: Key | None = None
-    variable: str | None = None
-    row: Annotated[int, Field(ge=0)] | None = None
     group: str | None = None
     unit: str = ""
     factor: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     offset: str | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _variable(cls, data: Any) -> Any:
+        """A column that is stated as a variable of a .mat file, or as a row of one."""
+        if not isinstance(data, dict) or not {"variable", "row"} & data.keys():
+            return data
+        rest = {key: value for key, value in data.items() if key not in ("variable", "row")}
+        variable, row = data.get("variable"), data.get("row", 0)
+        if "column" in rest or not isinstance(variable, str):
+            raise ValueError("give either 'column' or, for a .mat file, 'variable', a name, with its 'row'")
+        if not isinstance(row, int) or row < 0:
+            raise ValueError("'row' is a whole number from 0 on")
+        return rest | {"column": f"{variable}[{row}]" if "row" in data else variable}
+
     @model_validator(mode="after")
     def _one_source(self) -> "ColumnMap":
-        if self.column is self.variable is None and self.offset is not None and self.minus is self.row is None:
-            return self
-        if (self.column is None) == (self.variable is None):
+        if self.column is None and (self.offset is None or self.minus is not None):
             raise ValueError("give either 'column' or, for a .mat file, 'variable', or for a constant 'offset' alone")
-        if self.variable is None and self.row is not None:
-            raise ValueError("'row' belongs to a 'variable' of a .mat file")
-        if self.variable is not None and self.minus is not None:
-            raise ValueError("'minus' belongs to a 'column'")
         if self.factor == 0:
             raise ValueError("'factor' is zero")
         return self
 
     @property
-    def keys(self) -> tuple["Key | tuple[str, int | None]", ...]:
+    def keys(self) -> tuple[Key, ...]:
         """Keys of the raw columns this channel needs."""
-        if self.variable is not None:
-            return ((self.variable, self.row),)
-        if self.column is None:
-            return ()
-        return (self.column,) if self.minus is None else (self.column, self.minus)
+        return tuple(key for key in (self.column, self.minus) if key is not None)
 
     def shift(self, si: str, where: str) -> float:
         """The offset in the SI unit `si`."""
@@ -231,7 +233,7 @@ class LogMap(Layout):
         return self
 
     @property
-    def keys(self) -> "list[Key | tuple[str, int | None]]":
+    def keys(self) -> list[Key]:
         """Keys of the raw columns that the channels need, each once."""
         return list(dict.fromkeys(key for column in self.columns.values() for key in column.keys))
 

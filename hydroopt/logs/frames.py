@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_headers import parts_of
-from hydroopt.logs.column_map import Key
 from hydroopt.logs.formats.sheet import Sheet
-from hydroopt.logs.stamps import of_column
-from hydroopt.logs.table import RawKey, Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,31 +54,23 @@ class FrameSheet(Sheet):
         if stated:
             raise LogError(f"units are stated for {', '.join(map(repr, stated))}, but there is no such column",
                            where=where, remedy=f"correct the names; the columns are {', '.join(names[:20])}")
-        super().__init__(where, header)
+        super().__init__(where, header, len(frame))
 
-    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
-        """The columns `keys` as numbers, missing ones NaN, and the columns `texts` as texts."""
-        import pandas as pd  # noqa: PLC0415 (import cost)
-
-        columns = {key: self._values(self.column(key)) for key in keys}
-        made = of_column(columns[time]) if time is not None else None
-        if made is not None and time is not None:
-            columns[time] = made.seconds()
-        return Table(columns, np.arange(1, len(self._series[0]) + 1), stamps=made, texts={
-            key: ["" if pd.isna(cell) else str(cell) for cell in self._series[self.column(key)]] for key in texts})
-
-    def _values(self, index: int) -> NDArray[Any]:
-        """Values (N,) of a column, missing ones NaN, or moments in UTC."""
+    def values(self, index: int, rows: NDArray[np.int64], *, exact: bool = False) -> NDArray[Any]:
+        """A column as numbers, missing ones NaN, or moments in UTC."""
         import pandas as pd  # noqa: PLC0415 (import cost)
 
         series = self._series[index]
-        if _are_moments(series):
+        if exact and _are_moments(series):
             return np.asarray(series.dt.tz_convert(None) if isinstance(series.dtype, pd.DatetimeTZDtype) else series)
         if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
-            raise LogError(f"column '{self.header[index]}' holds {series.dtype}, not numbers", where=self.where,
-                           remedy="convert it, for example with pandas.to_numeric")
-        whole = series.dtype.kind in "iu" and not series.hasnans
+            raise self.no_numbers(index, series.dtype, "convert it, for example with pandas.to_numeric")
+        whole = exact and series.dtype.kind in "iu" and not series.hasnans
         return np.asarray(series) if whole else np.asarray(series.to_numpy(dtype=float, na_value=np.nan))
+
+    def texts(self, index: int, rows: NDArray[np.int64]) -> list[str]:
+        """A column as texts, missing ones ''."""
+        return self._series[index].astype(object).where(self._series[index].notna(), "").map(str).to_list()
 
 
 def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.column_headers import map_of_header, parts_of
-from hydroopt.logs.column_map import ClockMap, ColumnMap, LogMap
+from hydroopt.logs.column_map import ClockMap, ColumnMap, Key, LogMap
 from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.quality import Finding, out_of_order
 from hydroopt.logs.stamps import of_texts
-from hydroopt.logs.table import Array, RawKey, Table, in_si, refuse_damage, stamps_of
+from hydroopt.logs.table import Array, Table, in_si, refuse_damage, stamps_of
 
 
 class Columns(NamedTuple):
@@ -54,7 +54,7 @@ class Part:
     padded: bool = False
 
     @property
-    def time(self) -> RawKey | None:
+    def time(self) -> Key | None:
         """The raw column of the time; None of a sheet with stamps of its own."""
         column = self.layout.columns.get("t")
         return column.keys[0] if column is not None and column.keys else None
@@ -154,7 +154,7 @@ def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[
     holding = [k for k in candidates if all(sheets[k].holds(key) for key in column.keys)]
     if len(holding) == 1:
         return holding[0]
-    shown = f"column {column.column!r}" if column.column is not None else f"variable '{column.variable}'"
+    shown = f"column {column.column!r}"
     if not holding:
         present = ", ".join(name for sheet in sheets for name in sheet.header)
         raise LogError(f"there is no {shown} (present are {present[:160]})", where=where,

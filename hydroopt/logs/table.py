@@ -26,7 +26,6 @@ from hydroopt.support.packages import needed
 from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]
-RawKey = Key | tuple[str, int | None]
 FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".tsv": "csv", ".asc": "csv",
            ".parquet": "parquet", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".npz": "npz",
            ".xlsx": "xlsx", ".xls": "xlsx", ".xlsb": "xlsx", ".ods": "xlsx", ".tdms": "tdms", ".mf4": "mdf",
@@ -51,7 +50,7 @@ class Table:
     a date, an epoch or the file's own; `lines` (N,) the 1-based lines of a file of text.
     """
 
-    columns: dict[RawKey, Array]
+    columns: dict[Key, Array]
     rows: NDArray[np.int64]
     damage: dict[int, str] = field(default_factory=dict)
     texts: dict[Key, list[str]] = field(default_factory=dict)

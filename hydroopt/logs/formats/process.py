@@ -1,7 +1,7 @@
 """The program of the process in which a library reads a file, since damaged ones crash it or take all memory.
 
 `hydroopt.logs.formats.foreign_file` starts it. It answers each line of its input, a request in JSON, by a line of JSON
-and the arrays that this announces.
+and the array that this announces.
 """
 
 from __future__ import annotations
@@ -25,36 +25,27 @@ def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
         sheets = decoder.contents(path, matlab=True) if kind == "mat73" else decoder.contents(path)
         _answer(answers, {"sheets": [{
             "name": sheet.name, "header": [column.header for column in sheet.columns], "own": sheet.stamps is not None,
-            "shown": sheet.shown, "rows": sheet.rows, "text": bool(sheet.table)} for sheet in sheets]}, [])
+            "shown": sheet.shown, "rows": sheet.rows, "text": sheet.text} for sheet in sheets]})
         for line in requests:
             request = json.loads(line)
             sheet = sheets[request["sheet"]]
-            if sheet.table:
-                _answer(answers, {}, [np.frombuffer(sheet.table, np.uint8)])
-                continue
-            arrays = [np.asarray(sheet.columns[k].values()) for k in request["columns"]]
-            if request["stamps"] and sheet.stamps is not None:
-                arrays.append(sheet.stamps())
-            _answer(answers, {}, arrays)
+            read = sheet.stamps if request["column"] < 0 else sheet.columns[request["column"]].values
+            array = np.asarray(read())
+            file = io.BytesIO()
+            numbers = array.dtype.kind in "biufmM" and array.ndim == 1
+            np.save(file, array if numbers else np.zeros(len(array), "S1"), allow_pickle=False)
+            _answer(answers, {"size": file.tell()}, file.getvalue())
     except Exception as error:
         if memory.exceeded(error):
-            _answer(answers, {"exceeded": memory.limit()}, [])
+            _answer(answers, {"exceeded": memory.limit()})
         elif isinstance(error, ImportError):
-            _answer(answers, {"missing": str(error.name or error)}, [])
+            _answer(answers, {"missing": str(error.name or error)})
         else:  # whatever the library raises, the file is at fault
-            _answer(answers, {"unreadable": (str(error) or type(error).__name__)[:200]}, [])
+            _answer(answers, {"unreadable": (str(error) or type(error).__name__)[:200]})
 
 
-def _answer(answers: BinaryIO, said: dict[str, Any], arrays: list[Any]) -> None:
-    blobs = []
-    for array in arrays:
-        file = io.BytesIO()
-        numbers = array.dtype.kind in "biufmM" and array.ndim == 1
-        np.save(file, array if numbers else np.zeros(len(array), "S1"), allow_pickle=False)
-        blobs.append(file.getvalue())
-    answers.write(json.dumps(said | {"sizes": [len(blob) for blob in blobs]}).encode() + b"\n")
-    for blob in blobs:
-        answers.write(blob)
+def _answer(answers: BinaryIO, said: dict[str, Any], array: bytes = b"") -> None:
+    answers.write(json.dumps(said).encode() + b"\n" + array)
     answers.flush()
 
 

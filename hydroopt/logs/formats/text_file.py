@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +12,11 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs import stamps
-from hydroopt.logs.column_map import Key, Layout, LogMap
+from hydroopt.logs.column_map import Layout, LogMap
 from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.formats.text_layout import NO_NUMBER, cells_of, decoded, table_of
 from hydroopt.logs.stamps import Stamps
-from hydroopt.logs.table import Array, NoNumbersError, RawKey, Table, refuse_damage, selected
+from hydroopt.logs.table import Array, NoNumbersError, Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +41,7 @@ class TextFile(Sheet):
         self._layout, self._places = table.layout, np.array(table.rows, int) + 1
         self._lines = [lines[k] for k in table.rows]
         self.layout = table.layout.model_copy(update=dict.fromkeys(SHEET)) if sheet else table.layout
-        super().__init__(where, table.names, mapping.rows if mapping else None)
+        super().__init__(where, table.names, len(self._lines), mapping.rows if mapping else None)
         self.shown = table.shown(stated)
         if not self._lines and (longest := max(map(len, lines))) > csv.field_size_limit():
             raise LogError(f"a line of {longest} characters cannot be split into columns", where=where,
@@ -82,9 +80,13 @@ class TextFile(Sheet):
         return self._parsed(na_values=NO_NUMBER, decimal=self._layout.decimal, low_memory=False,
                             thousands=self._layout.thousands or None)
 
-    def _texts(self, position: int, rows: NDArray[np.int64]) -> pd.Series:
+    def _cells(self, index: int, rows: NDArray[np.int64]) -> pd.Series:
         """The cells of a column in 1-based data rows as texts, by 0-based row."""
-        return self._parsed(dtype=str, usecols=[position])[position].reindex(rows - 1, fill_value="")
+        return self._parsed(dtype=str, usecols=[index])[index].reindex(rows - 1, fill_value="")
+
+    def texts(self, index: int, rows: NDArray[np.int64]) -> list[str]:
+        """The cells of a column."""
+        return self._cells(index, rows).to_list()
 
     def _parsed(self, **how: Any) -> pd.DataFrame:
         """These rows, as pandas reads them.
@@ -106,51 +108,45 @@ class TextFile(Sheet):
             raise LogError(f"its lines cannot be split into columns ({error})", where=self.where,
                            remedy="check the ends of its lines, its quotation marks and the delimiter") from None
 
-    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
-        """The columns `keys` as numbers, where empty cells and 'nan' are NaN, and the columns `texts` as they are."""
-        rows = selected(len(self._lines), self.rows, self.where)
+    def damage(self, rows: NDArray[np.int64]) -> Table:
+        """The rows (N,) that have too few or too many cells, or an open quotation mark."""
         widths, width = self._widths[rows - 1], self._width
-        damage = {int(r): f"{w} of {width} columns" if w else "a quotation mark out of place"
-                  for r, w in zip(rows[widths != width], widths[widths != width], strict=True)}
-        table = Table({}, rows, damage, lines=self._places[rows - 1])
-        if len(damage) == len(rows):
-            refuse_damage(table, self.where)
-        made = None if time is None else self._stamps(self.column(time), rows)
-        columns = {key: self._numbers(self.column(key), rows) if made is None or key != time or made.unit
-                   else made.seconds() for key in keys}
-        found = {key: self._texts(self.column(key), rows).to_list() for key in texts}
-        return replace(table, columns=columns, texts=found, stamps=made)
+        return Table({}, rows, {int(r): f"{w} of {width} columns" if w else "a quotation mark out of place"
+                                for r, w in zip(rows[widths != width], widths[widths != width], strict=True)},
+                     lines=self._places[rows - 1])
 
-    def _place(self, row: int, position: int) -> str:
+    def _place(self, row: int, index: int) -> str:
         """What a sentence calls a cell of a 0-based data row."""
-        name = f"'{self.header[position]}'" if self.header else "without name"
-        return f"line {self._places[row]}, data row {row + 1}, column {position + 1} {name}"
+        name = f"'{self.header[index]}'" if self.header else "without name"
+        return f"line {self._places[row]}, data row {row + 1}, column {index + 1} {name}"
 
-    def _stamps(self, position: int, rows: NDArray[np.int64]) -> Stamps | None:
-        """The dates of a column, or its epoch with all digits; None where it is neither."""
-        if self._frame[position].dtype.kind not in "iuf":
-            cells = self._texts(position, rows)
+    def timed(self, index: int, rows: NDArray[np.int64]) -> tuple[NDArray[Any], Stamps | None]:
+        """A column of times, and its dates, or its epoch with all digits."""
+        if self._frame[index].dtype.kind not in "iuf":
+            cells = self._cells(index, rows)
             if any(map(stamps.looks_dated, cells[cells.ne("")].head(10))):
-                return stamps.of_texts(cells.to_list(), self._layout.dates, self.where,
-                                       lambda k: self._place(int(cells.index[k]), position))
-        unit = stamps.epoch_unit(self._numbers(position, rows))
-        return None if unit is None else stamps.epoch(np.array(
-            [stamps.exact_moment(text, unit) for text in self._plain(self._texts(position, rows))], "M8[ns]"), unit)
+                made = stamps.of_texts(cells.to_list(), self._layout.dates, self.where,
+                                       lambda k: self._place(int(cells.index[k]), index))
+                return made.moments, made
+        values = self.values(index, rows)
+        unit = stamps.epoch_unit(values)
+        return values, None if unit is None else stamps.epoch(np.array(
+            [stamps.exact_moment(text, unit) for text in self._plain(self._cells(index, rows))], "M8[ns]"), unit)
 
     def _plain(self, cells: pd.Series) -> pd.Series:
         """Texts (N,) of numbers as Python writes them."""
         plain = cells.str.strip().str.replace(self._layout.thousands or " ", "", regex=False)
         return plain.str.replace(",", ".", regex=False) if self._layout.decimal == "," else plain
 
-    def _numbers(self, position: int, rows: NDArray[np.int64]) -> Array:
-        """A column as numbers.
+    def values(self, index: int, rows: NDArray[np.int64], *, exact: bool = False) -> Array:
+        """A column as numbers, where empty cells and 'nan' are NaN.
 
         Raises:
             LogError: a cell holds anything else; of kind NoNumbersError, if most of them do.
         """
-        if self._frame[position].dtype.kind in "iuf":
-            return np.asarray(self._frame[position].reindex(rows - 1), float)
-        cells = self._texts(position, rows)
+        if self._frame[index].dtype.kind in "iuf":
+            return np.asarray(self._frame[index].reindex(rows - 1), float)
+        cells = self._cells(index, rows)
         plain = self._plain(cells)
         numbers = [_number(text) for text in plain]
         wrong = [k for k, number in enumerate(numbers) if number is None]
@@ -158,7 +154,7 @@ class TextFile(Sheet):
             return np.array(numbers, float)
         kind = NoNumbersError if 2 * len(wrong) > np.count_nonzero(plain.ne("")) else LogError
         raise kind(f"'{cells.iloc[wrong[0]]:.40}' is not a number",
-                   where=f"{self.where}, {self._place(int(cells.index[wrong[0]]), position)}",
+                   where=f"{self.where}, {self._place(int(cells.index[wrong[0]]), index)}",
                    remedy="correct the cell, or select sound rows with 'rows = [first, last]' in a map")
 
 

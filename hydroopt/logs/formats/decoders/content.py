@@ -31,17 +31,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Content:
-    """A sheet: its `name`, `columns`, and how its own stamps (N,) are read, datetime64 in UTC or seconds.
+    """A sheet: its `name`, `columns`, and how its own stamps (N,) are read, datetime64 in UTC or timedelta64.
 
-    `shown` is what was taken of the file that it does not state. `table` are the bytes of a text table instead; `rows`
-    is how many there are.
+    `shown` is what was taken of the file that it does not state. Of a table of `text` the one column
+    is its bytes. `rows` is how many there are.
     """
 
     name: str
     columns: Sequence[Column] = ()
     stamps: Callable[[], NDArray[Any]] | None = None
     shown: str = ""
-    table: bytes = b""
+    text: bool = False
     rows: int = 0
 
 

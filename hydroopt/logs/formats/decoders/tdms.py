@@ -38,6 +38,5 @@ def _stamps(channel: Any) -> NDArray[Any]:
     properties = channel.properties
     t = float(properties.get("wf_start_offset", 0) or 0) + np.arange(len(channel)) * float(properties["wf_increment"])
     start = properties.get("wf_start_time")
-    if start is None or np.isnat(np.datetime64(start)):
-        return t
-    return np.datetime64(start, "ns") + np.round(t * 1e9).astype("m8[ns]")
+    ticks = np.round(t * 1e9).astype("m8[ns]")
+    return ticks if start is None or np.isnat(np.datetime64(start)) else np.datetime64(start, "ns") + ticks

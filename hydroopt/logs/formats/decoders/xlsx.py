@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from datetime import date, datetime, time, timedelta
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import python_calamine as calamine
 
-from hydroopt.logs.formats.decoders.content import Content
+from hydroopt.logs.formats.decoders.content import Column, Content
 
 COMMA = re.compile(r"([+-]?\d+),(\d+)")
 """A number as text, with one comma."""
@@ -22,7 +24,8 @@ def contents(path: Path) -> list[Content]:
         rows = book.get_sheet_by_name(name).to_python(skip_empty_area=True)
         if rows:
             lines = ("\t".join(row) for row in _with_points([[_text(cell) for cell in row] for row in rows]))
-            found.append(Content(name, table="\n".join(lines).encode(), rows=len(rows)))
+            text = np.frombuffer("\n".join(lines).encode(), np.uint8)
+            found.append(Content(name, [Column("", "", partial(np.asarray, text))], text=True, rows=len(rows)))
     return found
 
 
