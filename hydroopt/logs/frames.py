@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_headers import parts_of
 from hydroopt.logs.formats.sheet import Sheet
+from hydroopt.logs.table import encoded_columns, write_columns
+from hydroopt.support.notebook_card import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,11 +77,36 @@ class FrameSheet(Sheet):
         return self._series[index].astype(object).where(self._series[index].notna(), "").map(str).to_list()
 
 
-def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:
-    """A DataFrame of columns (N,) by header."""
-    import pandas as pd  # noqa: PLC0415 (import cost)
+class Tabular(Shown):
+    """What is written as columns, ``name [SI unit]``.
 
-    return pd.DataFrame({name: np.array(column) for name, column in columns.items()})
+    Attributes:
+        noun: what sentences call it.
+    """
+
+    noun: ClassVar[str]
+
+    @abstractmethod
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Its columns (N,) by header."""
+
+    def encoded(self, *, parquet: bool = False) -> bytes:
+        """The content of the file that `write` writes, CSV or Parquet."""
+        return encoded_columns(self.columns(), parquet=parquet)
+
+    def write(self, path: str | Path) -> None:
+        """Write as CSV or Parquet, by extension, with NaN as empty cells; complete or not at all.
+
+        Raises:
+            LogError: another extension, or the file cannot be written.
+        """
+        write_columns(path, self.columns(), self.noun)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A pandas DataFrame (N rows) with the same columns, which `from_frame` reads back."""
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        return pd.DataFrame({name: np.array(column) for name, column in self.columns().items()})
 
 
 def all_of(given: Any, kinds: tuple[type, ...], noun: str, where: str) -> tuple[Any, ...]:

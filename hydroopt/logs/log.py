@@ -3,8 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +12,16 @@ from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
 from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_map import LogMap, read_map
-from hydroopt.logs.frames import FrameSheet, frame_of_columns
+from hydroopt.logs.frames import FrameSheet, Tabular
 from hydroopt.logs.mapped import MAPPED, at, by_pieces, extremes, release
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.sheets import parts_without_map
 from hydroopt.logs.spline import MIN_SAMPLES
 from hydroopt.logs.stamps import Stamps
-from hydroopt.logs.table import encoded_columns, frozen, write_columns
+from hydroopt.logs.table import frozen
 from hydroopt.logs.treatment import PIECE, Samples, choose, numbered, treat
 from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.support.notebook_card import Card, Shown
+from hydroopt.support.notebook_card import Card
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +36,7 @@ SAMPLE, BLOCK = 2**17, 2**13
 
 
 @dataclass(frozen=True, repr=False)
-class Log(Shown):
+class Log(Tabular):
     """Synchronously sampled channels of one recording.
 
     Attributes:
@@ -68,6 +67,7 @@ class Log(Shown):
     (['boom_cylinder.p_head'], b't [s],boom.q [rad],boom_cylinder.p_head [Pa]')
     """
 
+    noun: ClassVar = "log"
     name: str
     t: Array
     channels: Mapping[str, Array]
@@ -230,27 +230,6 @@ class Log(Shown):
         cut = round(fraction * self.t.size)
         return self.slice(0, cut), self.slice(cut, self.t.size)
 
-    def encoded(self, *, parquet: bool = False) -> bytes:
-        """The content of the file that `write` writes, CSV or Parquet."""
-        return encoded_columns(self._columns(), parquet=parquet)
-
-    def write(self, path: str | Path) -> None:
-        """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
-
-        Raises:
-            LogError: another extension, or the file cannot be written.
-        """
-        write_columns(path, self._columns(), "log")
-
-    def to_frame(self) -> "pd.DataFrame":
-        """A pandas DataFrame (N rows) with the columns ``t [s]`` and ``name [SI unit]``; `from_frame` reads it back.
-
-        >>> log = Log("run", [0.0, 0.02, 0.04], {"boom.q": [0.1, 0.2, 0.3]})
-        >>> log.to_frame().columns.tolist()
-        ['t [s]', 'boom.q [rad]']
-        """
-        return frame_of_columns(self._columns())
-
     @classmethod
     def from_frame(cls, frame: "pd.DataFrame | pa.Table", *, units: Mapping[str, str] | None = None,
                    name: str = "frame", treatment: Mapping[str, str] | None = None,
@@ -281,7 +260,13 @@ class Log(Shown):
         return cls(name, samples.t, samples.channels, samples.sample, segment, samples.findings + read.notes,
                    units=read.units)
 
-    def _columns(self) -> dict[str, Array]:
+    def columns(self) -> dict[str, Array]:
+        """Its columns (N,): ``t [s]`` and ``name [SI unit]``.
+
+        >>> log = Log("run", [0.0, 0.02, 0.04], {"boom.q": [0.1, 0.2, 0.3]})
+        >>> log.to_frame().columns.tolist()
+        ['t [s]', 'boom.q [rad]']
+        """
         headers = (f"{name} [{self.units[name]}]" for name in self.channels)
         return {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,9 @@ from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.formats.sheet import Sheet
-from hydroopt.logs.frames import FrameSheet, frame_of_columns
-from hydroopt.logs.table import encoded_columns, frozen, in_si, refuse_damage, write_columns
-from hydroopt.support.notebook_card import Card, Shown
+from hydroopt.logs.frames import FrameSheet, Tabular
+from hydroopt.logs.table import frozen, in_si, refuse_damage
+from hydroopt.support.notebook_card import Card
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +39,7 @@ def _no_texts() -> Texts:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Poses(Shown):
+class Poses(Tabular):
     """Channels of N poses at rest. All arrays are frozen; those left out get the stated default.
 
     Attributes:
@@ -66,6 +66,7 @@ class Poses(Shown):
     '"","","3",0.3'
     """
 
+    noun: ClassVar = "table of poses"
     name: str
     stage: Texts = field(default_factory=_no_texts)
     fixture: Texts = field(default_factory=_no_texts)
@@ -129,30 +130,6 @@ class Poses(Shown):
         return replace(self, **kept, channels={name: x[index] for name, x in self.channels.items()},
                        sha256={path: digest for path, digest in self.sha256.items() if path in kept["file"]})
 
-    def write(self, path: str | Path) -> None:
-        """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
-
-        Cells are empty where nothing was read; the columns of time, tape and set-up are left out where no pose has
-        one.
-
-        Raises:
-            LogError: another extension, or the file cannot be written.
-        """
-        write_columns(path, self._columns(), "table of poses")
-
-    def encoded(self, *, parquet: bool = False) -> bytes:
-        """The content of the file that `write` writes, CSV or Parquet."""
-        return encoded_columns(self._columns(), parquet=parquet)
-
-    def to_frame(self) -> pd.DataFrame:
-        """A pandas DataFrame (N rows) with labels, ``t [s]`` if stated, and ``name [SI unit]``.
-
-        >>> poses = Poses("run", stage=["a", "a"], channels={"boom.q": [0.1, 0.2]})
-        >>> poses.to_frame().columns.tolist()
-        ['stage', 'fixture', 'pose', 'boom.q [rad]']
-        """
-        return frame_of_columns(self._columns())
-
     @classmethod
     def from_frame(cls, frame: pd.DataFrame, *, units: Mapping[str, str] | None = None, name: str = "frame") -> Poses:
         """A table of poses of a pandas DataFrame.
@@ -175,7 +152,13 @@ class Poses(Shown):
         """
         return _of_sheet(FrameSheet(frame, units, name), None, name, {}, "", {})
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Its columns (N,): labels, those of time, tape and set-up where a pose has one, and ``name [SI unit]``.
+
+        >>> poses = Poses("run", stage=["a", "a"], channels={"boom.q": [0.1, 0.2]})
+        >>> poses.to_frame().columns.tolist()
+        ['stage', 'fixture', 'pose', 'boom.q [rad]']
+        """
         more = {name: texts for name, texts in (("tape", self.tape), ("setup", self.setup)) if np.any(texts != "")}
         time = {} if np.all(np.isnan(self.t)) else {"t [s]": self.t}
         channels = {f"{name} [{self.units[name]}]": x for name, x in self.channels.items()}
