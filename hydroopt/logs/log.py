@@ -86,14 +86,14 @@ class Log(Tabular):
             raise LogError(f"the time holds {given.dtype}, not seconds", where=where,
                            remedy="give seconds, or datetime64, of which the first one is t = 0")
         t = frozen(Stamps(given).seconds() if given.dtype.kind in "mM" else given, float)
-        if t.ndim != 1 or t.size < 2 or find.by_steps(t, lambda steps: ~(steps > 0)).any():
+        if t.ndim != 1 or t.size < 2 or find.following(t, lambda steps: ~(steps > 0)).size:
             raise LogError("times do not increase over two or more samples", where=where,
                            remedy="correct the time stamps or choose a longer stretch")
         channels = {name: frozen(x, float) for name, x in self.channels.items()}
         sample = frozen(self.sample if np.size(self.sample) else by_pieces(
             t.size, lambda span: np.arange(span.start + 1, span.stop + 1), int), int)
         segment = frozen(self.segment if np.size(self.segment) else numbered(
-            np.flatnonzero(find.gaps(t, find.usual_step(t))), t.size), int)
+            find.gaps(t, find.usual_step(t)), t.size), int)
         for name, x in {"sample": sample, "segment": segment, **channels}.items():
             if x.shape != t.shape:
                 raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,

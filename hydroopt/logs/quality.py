@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from hydroopt.logs.channels import is_force
-from hydroopt.logs.mapped import MAPPED, by_pieces
+from hydroopt.logs.mapped import MAPPED, release
 from hydroopt.logs.table import runs
 
 Array = NDArray[np.float64]
@@ -22,6 +22,8 @@ the share of changes that are so even."""
 FINEST = {"m": 1e-6, "rad": 1e-6, "Pa": 100.0}
 """Steps that the finest instruments of machines resolve, by unit: magnetostrictive transducers, encoders of 22 bits,
 16 bits of 60 bar."""
+GAP = 3.0
+"""Usual steps from which on a longer one is a gap."""
 WINDOW = 25
 """Samples of a running median, so that spikes up to 12 samples wide stand out."""
 _USUAL = 1.96 / 6  # 95th percentile of residuals, as a part of the greatest one that is usual
@@ -51,8 +53,8 @@ class Finding:
     text: str
 
 
-def finding(kind: str, channel: str, mask: Mask, sample: NDArray[np.int64], text: str) -> Finding:
-    """The samples in `mask` (N,) as one finding; `text` starts with a plural verb."""
+def finding(kind: str, channel: str, mask: NDArray[Any], sample: NDArray[np.int64], text: str) -> Finding:
+    """The samples in a mask (N,), or at places (m,), as one finding; `text` starts with a plural verb."""
     rows = sample[mask]
     noun, (verb, rest) = "samples", text.split(" ", 1)
     if rows.size == 1:
@@ -67,7 +69,7 @@ def out_of_order(t: Array) -> Mask:
     Stray stamps are found against a running median. Where the clock itself restarts, all samples that are not
     later than an earlier one are marked.
     """
-    if not by_steps(t, lambda steps: ~(steps >= 0)).any():
+    if not following(t, lambda steps: ~(steps >= 0)).size:
         return np.zeros(t.size, bool)
     stray = median_filter(t, WINDOW, mode="nearest") != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
@@ -80,38 +82,28 @@ def out_of_order(t: Array) -> Mask:
     return np.asarray(t < np.maximum.accumulate(t), dtype=bool)
 
 
-def repeated(t: Array) -> Mask:
-    """Samples that carry the same time stamp as the one before, t (N,) not decreasing."""
-    return by_steps(t, lambda steps: steps == 0)
-
-
 def usual_step(t: Array) -> float:
     """The median step [s], of a long log that of some of its steps, evenly spread; 0 of a single sample."""
     every = t.size // MAPPED + 1
     return float(np.median(t[1::every] - t[:-1:every])) if t.size > 1 else 0.0
 
 
-def gaps(t: Array, usual: float) -> Mask:
+def gaps(t: Array, usual: float) -> NDArray[np.intp]:
     """Samples that follow a step of more than three of the `usual` ones."""
-    return by_steps(t, lambda steps: steps > 3.0 * usual)
+    return following(t, lambda steps: steps > GAP * usual)
 
 
-def jitter(t: Array, usual: float) -> Mask:
-    """Samples after a step off the `usual` one by more than 10 %, gaps not counted."""
-    return by_steps(t, lambda steps: ((steps < 0.9 * usual) | (steps > 1.1 * usual)) & (steps <= 3.0 * usual))
+def following(t: NDArray[Any], judge: Callable[[NDArray[Any]], Mask]) -> NDArray[np.intp]:
+    """Places of the samples of t (N,) that follow a step which is judged so; the first one follows none.
 
-
-def by_steps(t: NDArray[Any], judge: Callable[[NDArray[Any]], Mask]) -> Mask:
-    """Which samples (N,) follow a step that is judged so; the first one follows none.
-
-    >>> by_steps(np.array([0.0, 1.0, 3.0]), lambda steps: steps > 1).tolist()
-    [False, False, True]
+    >>> following(np.array([0.0, 1.0, 3.0]), lambda steps: steps > 1).tolist()
+    [2]
     """
-    def part(span: slice) -> Mask:
-        steps = np.diff(t[max(span.start - 1, 0):span.stop])
-        return np.concatenate([np.zeros(span.stop - span.start - steps.size, bool), judge(steps)])
-
-    return by_pieces(t.size, part, bool)
+    found = []
+    for start in range(0, t.size, MAPPED // 8):
+        found.append(start + 1 + np.flatnonzero(judge(np.diff(t[start:start + MAPPED // 8 + 1]))))
+        release()
+    return np.concatenate([np.empty(0, np.intp), *found])
 
 
 def spikes(x: Array, finest: float = 0.0) -> Mask:

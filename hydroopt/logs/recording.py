@@ -20,9 +20,6 @@ Array = NDArray[np.float64]
 NEEDED = ("q", "length", "tau", "force", "p_head", "p_rod", "p_a", "p_b")
 """Suffixes of the channels without which no force of an actuator is known or explained: position, force, pressure."""
 
-GAP = 3.0
-"""Steps, in median steps of the slower of two groups, across which samples are not interpolated."""
-
 
 @dataclass(frozen=True)
 class Recording(Shown):
@@ -240,7 +237,7 @@ def _in_gap(base: Log, group: Log) -> NDArray[np.bool_]:
     """Stamps (N,) of `base` strictly within a gap of `group`."""
     step = np.diff(group.t)
     behind = np.clip(np.searchsorted(group.t, base.t, side="left"), 1, group.size - 1)
-    wide = (step > GAP * max(group.step, base.step)) | (np.diff(group.segment) > 0)
+    wide = (step > quality.GAP * max(group.step, base.step)) | (np.diff(group.segment) > 0)
     on_stamp = base.t == group.t[np.clip(np.searchsorted(group.t, base.t), 0, group.size - 1)]
     return np.asarray(wide[behind - 1] & ~on_stamp)
 

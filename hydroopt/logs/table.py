@@ -231,16 +231,16 @@ def _cells(column: NDArray[Any]) -> list[str]:
 
 
 def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:
-    """Row numbers in words, neighbours joined: ``2–10, 6107``."""
-    numbers = sorted(int(r) for r in rows)
-    parts: list[list[int]] = []
-    for number in numbers:
-        if parts and number == parts[-1][1] + 1:
-            parts[-1][1] = number
-        else:
-            parts.append([number, number])
-    words = [str(a) if a == b else f"{a}–{b}" for a, b in parts[:most]]
-    return ", ".join(words) + (f" and {len(parts) - most} more stretches" if len(parts) > most else "")
+    """Row numbers in words, neighbours joined: ``2–10, 6107``.
+
+    >>> runs([6107, *range(2, 11)]), runs(range(0, 40, 2), 1)
+    ('2–10, 6107', '0 and 19 more stretches')
+    """
+    numbers = np.unique(np.asarray(rows))
+    ends = np.flatnonzero(np.diff(numbers, append=np.inf) > 1)
+    firsts = numbers[np.concatenate([[0], ends[:-1] + 1])]
+    words = [str(a) if a == b else f"{a}–{b}" for a, b in zip(firsts[:most], numbers[ends[:most]], strict=True)]
+    return ", ".join(words) + (f" and {len(ends) - most} more stretches" if len(ends) > most else "")
 
 
 def selected(count: int, rows: tuple[int, int] | None, where: str) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """What is done about the findings of a log: the actions a user may choose, and carrying them out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -33,6 +33,8 @@ without anything else is dropped."""
 AT_ONCE = {"nan": ("interpolate",), "spike": ("interpolate",), "non-monotonic": ("drop",), "duplicate": ("mean",),
            "held": ("drop", "error")}
 """Actions that take all samples of a log at once, however many there are."""
+Found = tuple[str, str, Mask, str]
+"""What a check finds: its kind, the channel, samples (N,), and a text that starts with a plural verb."""
 PIECE, BESIDE = 2**17, 2**10
 """Samples of a log that are treated and smoothed together, and those beside them by which they are judged."""
 
@@ -51,6 +53,10 @@ class Samples:
     findings: tuple[Finding, ...] = ()
     reported: tuple[int, int] | None = None
     whole: Mapping[str, Extremes] | None = None
+
+    def having(self, name: str, x: Array) -> "Samples":
+        """The same with another channel of that name."""
+        return replace(self, channels={**self.channels, name: x})
 
     def keep(self, mask: Mask) -> "Samples":
         """The samples in `mask` (N,)."""
@@ -110,8 +116,22 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extr
 
 def _treated(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes], where: str) -> Samples:
     """What is left of samples, gaps and jitter of their times aside."""
-    for step in (_not_a_number, _order, _repeats, _held, _outliers):
-        samples = step(samples, chosen, limits, where)
+    for check in (_not_a_number, _order, _repeats, *([_held] if chosen["held"] != "keep" else []), _outliers):
+        drop = np.zeros(samples.t.size, bool)
+        for kind, name, mask, text in check(samples, limits, where):
+            samples, action = _note(samples, kind, name, mask, text, chosen, where), chosen[kind]
+            if action == "interpolate":
+                samples = _bridge(samples, name, mask, where)
+            elif action == "use" and is_force(name):
+                samples = samples.having(name, np.where(mask, np.nan, samples.channels[name]))
+            elif action == "mean":
+                group = np.cumsum(~mask) - 1
+                count = np.bincount(group)
+                samples = replace(samples, channels={
+                    each: (np.bincount(group, x) / count)[group] for each, x in samples.channels.items()})
+            if action in ("drop", "first", "mean") or (action == "use" and not is_force(name)):
+                drop |= mask
+        samples = samples.keep(~drop) if drop.any() else samples
         if samples.t.size < 2:
             raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
                            remedy="choose other treatments or record the log again")
@@ -149,7 +169,7 @@ def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:
 
 
 def _note(
-    samples: Samples, kind: str, channel: str, mask: Mask, text: str, chosen: Mapping[str, str], where: str
+    samples: Samples, kind: str, channel: str, mask: NDArray[Any], text: str, chosen: Mapping[str, str], where: str
 ) -> Samples:
     """Add a finding, or raise where the action is "error"."""
     action = chosen[kind]
@@ -171,26 +191,17 @@ def _note(
     return replace(samples, findings=(*samples.findings, found))
 
 
-def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
-    bad = {name: ~np.isfinite(x) for name, x in {"t": samples.t, **samples.channels}.items()}
-    bad = {name: mask for name, mask in bad.items() if mask.any()}
-    for name, mask in bad.items():
-        samples = _note(samples, "nan", name, mask, "hold no finite number", chosen, where)
-    if chosen["nan"] in ("use", "drop"):
-        dropped = [mask for name, mask in bad.items() if chosen["nan"] == "drop" or not is_force(name)]
-        samples = replace(samples, channels={name: np.where(bad[name], np.nan, x) if name in bad else x
-                                             for name, x in samples.channels.items()})
-        return samples.keep(~np.logical_or.reduce(dropped)) if dropped else samples
-    if "t" in bad:
-        raise LogError(f"t: samples {runs(samples.sample[bad['t']])} have no time, which cannot be "
-                       "interpolated", where=where, remedy="choose --treat nan=drop or correct the file")
-    for name, mask in bad.items():
-        samples = _bridge(samples, name, mask, where)
-    return samples
+def _not_a_number(samples: Samples, limits: object, where: str) -> Iterator[Found]:
+    for name, x in {"t": samples.t, **samples.channels}.items():
+        if (mask := ~np.isfinite(x)).any():
+            yield "nan", name, mask, "hold no finite number"
 
 
 def _bridge(samples: Samples, name: str, mask: Mask, where: str) -> Samples:
     """Linear in time over the masked samples; never beyond the outermost good ones."""
+    if name == "t":
+        raise LogError(f"t: samples {runs(samples.sample[mask])} have no time, which cannot be interpolated",
+                       where=where, remedy="choose --treat nan=drop or correct the file")
     good = np.flatnonzero(~mask & np.isfinite(samples.channels[name]))
     if good.size < 2 or mask[0] or mask[-1]:
         raise LogError(f"{name}: samples at the very start or end cannot be interpolated", where=where,
@@ -198,52 +209,38 @@ def _bridge(samples: Samples, name: str, mask: Mask, where: str) -> Samples:
     order = good[np.argsort(samples.t[good], kind="stable")]
     x = samples.channels[name].copy()
     x[mask] = np.interp(samples.t[mask], samples.t[order], x[order])
-    return replace(samples, channels={**samples.channels, name: x})
+    return samples.having(name, x)
 
 
-def _order(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+def _order(samples: Samples, limits: object, where: str) -> Iterator[Found]:
     mask = find.out_of_order(samples.t)
-    if not mask.any():
-        return samples
-    samples = _note(samples, "non-monotonic", "t", mask, "are out of the order of time", chosen, where)
+    if mask.any():
+        yield "non-monotonic", "t", mask, "are out of the order of time"
     if 2 * np.count_nonzero(mask) > mask.size:
         raise LogError("more than half of the samples are out of the order of time", where=where,
                        remedy="select a good stretch with 'rows = [first, last]' in a map, or correct the times")
-    return samples.keep(~mask)
 
 
-def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
-    mask = find.repeated(samples.t)
-    if not mask.any():
-        return samples
-    samples = _note(samples, "duplicate", "t", mask, "repeat the time stamp before", chosen, where)
-    if chosen["duplicate"] == "mean":
-        group = np.cumsum(~mask) - 1
-        count = np.bincount(group)
-        means = {k: (np.bincount(group, x) / count)[group] for k, x in samples.channels.items()}
-        samples = replace(samples, channels=means)
-    return samples.keep(~mask)
+def _repeats(samples: Samples, limits: object, where: str) -> Iterator[Found]:
+    mask = np.diff(samples.t, prepend=-np.inf) == 0
+    if mask.any():
+        yield "duplicate", "t", mask, "repeat the time stamp before"
 
 
-def _held(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+def _held(samples: Samples, limits: object, where: str) -> Iterator[Found]:
     """Positions that the logger repeats between the samples of a slower sensor: all samples but its own are found."""
-    if chosen["held"] == "keep":
-        return samples
     every = {name: find.held(x) for name, x in samples.channels.items() if name.rpartition(".")[2] in ("q", "length")}
     slowest = max(every, key=lambda name: every[name], default="")
-    if not slowest or not every[slowest]:
-        return samples
-    x, rows = samples.channels[slowest], np.arange(samples.t.size)
-    changes = np.flatnonzero(np.diff(x)) + 1
-    phase = int(np.bincount(changes % every[slowest]).argmax())
-    regular = np.mean(changes % every[slowest] == phase) > find.OFTEN
-    mask = rows % every[slowest] != phase if regular else ~np.isin(rows, changes)
-    samples = _note(samples, "held", slowest, mask, "repeat the reading before", chosen, where)
-    return samples.keep(~mask)
+    if slowest and every[slowest]:
+        rows = np.arange(samples.t.size)
+        changes = np.flatnonzero(np.diff(samples.channels[slowest])) + 1
+        phase = int(np.bincount(changes % every[slowest]).argmax())
+        regular = np.mean(changes % every[slowest] == phase) > find.OFTEN
+        mask = rows % every[slowest] != phase if regular else ~np.isin(rows, changes)
+        yield "held", slowest, mask, "repeat the reading before"
 
 
-def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes],
-              where: str) -> Samples:
+def _outliers(samples: Samples, limits: Mapping[str, Extremes], where: str) -> Iterator[Found]:
     """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump.
 
     Where a force is missing its channel is judged as if it were a straight line there.
@@ -253,64 +250,49 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
               for name, x in samples.channels.items() if present[name].any()}
     sensed = {name: x for name, x in joined.items() if not name.endswith(".u")}
     sensed = {} if find.without_noise(sensed) else sensed
-    none = np.zeros(samples.t.size, bool)
     whole = samples.whole or {}
     clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name)) & present[name]
                for name, x in joined.items()}
     level = {name: mask & ~clipped[name] & present[name] for name, mask in find.stuck(sensed, samples.whole).items()}
-    finest = {name: find.FINEST.get(si_unit(name), 0.0) for name in sensed}
-    spiky = {name: find.spikes(x, finest[name]) & ~clipped[name] & ~level[name] & present[name]
+    spiky = {name: find.spikes(x, find.FINEST.get(si_unit(name), 0.0)) & ~clipped[name] & ~level[name] & present[name]
              for name, x in sensed.items()}
-    texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
-        ("saturated", clipped, _at_limit(samples, limits)),
-        ("stuck", level, lambda name, mask: "rest at one value while other channels move"),
-        ("spike", spiky, _worst(samples)))
-    drop = none
-    for kind, masks, text in texts:
+    for kind, masks in (("saturated", clipped), ("stuck", level), ("spike", spiky)):
         for name, mask in masks.items():
-            if not mask.any():
-                continue
-            samples = _note(samples, kind, name, mask, text(name, mask), chosen, where)
-            if chosen[kind] == "drop":
-                drop = drop | mask
-            elif chosen[kind] == "interpolate":
-                samples = _bridge(samples, name, mask, where)
-    return samples.keep(~drop) if drop.any() else samples
+            if mask.any():
+                yield kind, name, mask, {
+                    "saturated": _at_limit, "stuck": _level, "spike": _worst}[kind](samples, limits, name, mask)
 
 
-def _at_limit(samples: Samples, limits: Mapping[str, Extremes]) -> Callable[[str, Mask], str]:
-    def text(name: str, mask: Mask) -> str:
-        x, unit = samples.channels[name][mask], si_unit(name)
-        low, high = limits.get(name, (-np.inf, np.inf))
-        ends = [f"lie at or {word} {end:.4g} {unit}, the {which} that is stated" for word, which, end, there in (
-            ("below", "least", low, x <= low), ("above", "most", high, x >= high)) if np.any(there)]
-        if own := np.unique(x[(x > low) & (x < high)]).tolist():
-            values = " or ".join(f"{value:.4g} {unit}" for value in own)
-            ends.append(f"rest at {values}, the channel's own extreme, as if the sensor's range ended there")
-        return " or ".join(ends)
-    return text
+def _at_limit(samples: Samples, limits: Mapping[str, Extremes], name: str, mask: Mask) -> str:
+    x, unit = samples.channels[name][mask], si_unit(name)
+    low, high = limits.get(name, (-np.inf, np.inf))
+    ends = [f"lie at or {word} {end:.4g} {unit}, the {which} that is stated" for word, which, end, there in (
+        ("below", "least", low, x <= low), ("above", "most", high, x >= high)) if np.any(there)]
+    if own := np.unique(x[(x > low) & (x < high)]).tolist():
+        values = " or ".join(f"{value:.4g} {unit}" for value in own)
+        ends.append(f"rest at {values}, the channel's own extreme, as if the sensor's range ended there")
+    return " or ".join(ends)
 
 
-def _worst(samples: Samples) -> Callable[[str, Mask], str]:
-    def text(name: str, mask: Mask) -> str:
-        x = samples.channels[name]
-        good = ~mask & np.isfinite(x)
-        found = np.flatnonzero(mask)
-        off = np.nan_to_num(np.abs(x[found] - np.interp(samples.t[found], samples.t[good], x[good])))
-        return f"stand off their neighbours (worst at sample {samples.sample[found[np.argmax(off)]]})"
-    return text
+def _level(*_: object) -> str:
+    return "rest at one value while other channels move"
+
+
+def _worst(samples: Samples, limits: object, name: str, mask: Mask) -> str:
+    x, good, found = samples.channels[name], ~mask & np.isfinite(samples.channels[name]), np.flatnonzero(mask)
+    off = np.nan_to_num(np.abs(x[found] - np.interp(samples.t[found], samples.t[good], x[good])))
+    return f"stand off their neighbours (worst at sample {samples.sample[found[np.argmax(off)]]})"
 
 
 def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[Samples, NDArray[np.int64]]:
     step = find.usual_step(samples.t)
-    after_gap, uneven = find.gaps(samples.t, step), find.jitter(samples.t, step)
-    if after_gap.any():
-        behind = np.flatnonzero(after_gap)
+    behind, uneven = find.gaps(samples.t, step), find.following(samples.t, lambda steps: (
+        (steps < 0.9 * step) | (steps > 1.1 * step)) & (steps <= find.GAP * step))
+    if behind.size:
         longest = float(np.max(samples.t[behind] - samples.t[behind - 1]))
-        samples = _note(samples, "gap", "t", after_gap, f"follow a gap (longest {longest:.4g} s, usual step "
+        samples = _note(samples, "gap", "t", behind, f"follow a gap (longest {longest:.4g} s, usual step "
                         f"{step:.4g} s)", chosen, where)
-    if uneven.any():
+    if uneven.size:
         samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
                         f"{step:.4g} s by more than 10 %", chosen, where)
-    cuts = np.flatnonzero(after_gap) if chosen["gap"] == "split" else np.empty(0, int)
-    return samples, numbered(cuts, samples.t.size)
+    return samples, numbered(behind if chosen["gap"] == "split" else behind[:0], samples.t.size)

@@ -35,7 +35,7 @@ from hydroopt.logs.forces_from_pressures import force_channels, force_lags, pres
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.mapped import empty, release
-from hydroopt.logs.quality import by_steps, usual_step
+from hydroopt.logs.quality import following, usual_step
 from hydroopt.logs.smoothing import Motion, Smoother, Smoothing, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
 from hydroopt.logs.treatment import PIECE
@@ -186,7 +186,7 @@ class Experiment:
         """The samples in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the first row on."""
         sample, segment = self.log.sample, self.motion.segment
         borders = np.searchsorted(sample, np.arange(sample[0], sample[-1] + 1, BLOCK))
-        cuts = np.flatnonzero(by_steps(segment, lambda steps: steps != 0))
+        cuts = following(segment, lambda steps: steps != 0)
         edges = np.unique([*borders, *cuts, len(sample)]).tolist()
         for edge in pairwise(edges):
             release()
