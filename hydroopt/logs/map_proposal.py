@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from hydroopt.errors import HydrooptError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_words import ChannelNames, Naming
 from hydroopt.logs.formats.files import open_files
@@ -26,6 +25,7 @@ from hydroopt.model.model import Model, recent_model
 from hydroopt.units import factor
 
 Sureness = Literal["sure", "likely", "guess"]
+Range = tuple[float, float]
 TRIED = {"rad": ("rad", "deg"), "m": ("m", "mm", "cm"), "Pa": ("Pa", "kPa", "bar", "psi", "MPa"),
          "m/s^2": ("m/s^2", "g_0", "mg_0"), "rad/s": ("rad/s", "deg/s", "mdeg/s")}
 """Units that are tried of a column that states none, by SI unit."""
@@ -43,6 +43,9 @@ AGREES, DIFFERS = 0.01, 0.1
 """RMS difference of lengths from those by the angles, as part of their range, that confirms both, and that denies."""
 MOST = 6
 """Channels that a question about a column names."""
+TURNS = (-math.tau, math.tau)
+"""Range of a joint without limits [rad]."""
+ANGLES = {("quantities", "angle"), ("quantities", "position")}
 LEFT_OUT = ("qdd", "distance", "x", "y", "z", "fx", "fy", "fz", "mx", "my", "mz")
 """Suffixes of channels that are not looked for."""
 
@@ -196,7 +199,9 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
         times = [] if own else [each for sheet in sheets if not sheet.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
-    found = _by_triangles(model, {**_by_number(machine, rest), **_by_name(machine, names, rest, times)})
+    ranges = _ranges(machine)
+    found = _by_triangles(model, _by_number(machine, rest, ranges) | _by_name(
+        names, rest, ranges, machine.gravity, times))
     found = _loud_enough(found, wanted)
     taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
     usual = {*(f"{joint}.q" for joint in machine.joints),
@@ -307,106 +312,92 @@ def _increases(column: ColumnOf) -> bool:
     return bool(np.all(np.diff(values) >= 0) and values[0] < values[-1])
 
 
-def _by_name(machine: Machine, names: ChannelNames, columns: Sequence[ColumnOf],
+def _by_name(names: ChannelNames, columns: Sequence[ColumnOf], ranges: Mapping[str, Range], gravity: float,
              times: Sequence[Proposal]) -> dict[str, Proposal]:
-    """The best column of each channel by its name, judged by unit and values."""
-    ranked: dict[str, list[tuple[int, Proposal]]] = {}
+    """The best column of each channel by its name, judged by unit and values; a guess if there are several."""
     scores = {channel: [(score, column) for column in columns if (score := names.fit(channel, column.named))]
               for channel in names.channels}
     named = [column for found in scores.values() for _, column in found]
     for column in columns:
         if column not in named and (alone := names.fit_alone(column.named)):
             scores[alone].append((1, column))
-    usual = _inferred_units(machine, {channel: [column for score, column in found if score > 1]
-                                      for channel, found in scores.items()}, names.channels, times)
-    for channel, si in names.channels.items():
-        for score, column in scores[channel]:
-            if (made := _judged(machine, channel, si, column, score, usual.get(si, (si,)))) is not None:
-                ranked.setdefault(channel, []).append((score, made))
-    best = {channel: max(score for score, _ in found) for channel, found in ranked.items()}
-    claims: dict[tuple[str, int], list[str]] = {}
-    for channel, found in ranked.items():
-        for score, each in found:
-            if score == best[channel]:
-                claims.setdefault((each.column.sheet.name, each.column.index), []).append(channel)
+    usual = _inferred_units(ranges, {channel: [column for score, column in found if score > 1]
+                                     for channel, found in scores.items()}, names.channels)
+    usual |= _by_gravity(gravity, scores, times)
+    made = [(score, each) for channel, si in names.channels.items() for score, column in scores[channel]
+            if (each := _judged(channel, si, column, score, usual.get(si, (si,)), ranges.get(channel)))]
+    best: dict[str, int] = {}
+    for score, each in made:
+        best[each.channel] = max(score, best.get(each.channel, 0))
     chosen: dict[str, Proposal] = {}
-    for channel, found in ranked.items():
-        top = [each for score, each in found if score == best[channel]]
-        each = top[0]
-        rivals = [name for name in claims[each.column.sheet.name, each.column.index]
-                  if name != channel and best[name] >= best[channel]]
-        if len(top) > 1:
-            each = replace(each, sureness="guess", reason=f"{each.reason}; '{top[1].column.header}' may be it, too")
-        elif rivals:
-            each = replace(each, sureness="guess", reason=f"{each.reason}; it may be {rivals[0]}, too")
-        chosen[channel] = each
+    top = [each for score, each in made if score == best[each.channel]]
+    for each in top:
+        if each.channel not in chosen:
+            columns = [f"'{other.column.header}' may be it" for other in top
+                       if other.channel == each.channel and other is not each]
+            channels = [f"it may be {other.channel}" for other in top if other.column is each.column
+                        and other is not each and best[other.channel] >= best[each.channel]]
+            chosen[each.channel] = each if not columns + channels else replace(
+                each, sureness="guess", reason=f"{each.reason}; {(columns + channels)[0]}, too")
     return chosen
 
 
-def _by_number(machine: Machine, columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
+def _by_number(machine: Machine, columns: Sequence[ColumnOf], ranges: Mapping[str, Range]) -> dict[str, Proposal]:
     """Columns `q1` to `qn` or `joint 1 [deg]` as guesses for the n joints, in the machine file's order."""
     numbered: dict[int, list[ColumnOf]] = {}
     for column in columns:
         for reading in column.named.readings:
-            number = [word for kind, word in reading if kind == "numbers"]
+            number = [int(word) for kind, word in reading if kind == "numbers"]
             rest = {word for word in reading if word[0] != "numbers"}
-            angle = rest & {("quantities", "angle"), ("quantities", "position")} or of_kind(column.named.units, "rad")
-            if len(number) == 1 and angle and rest <= {
-                    ("devices", "joint"), ("quantities", "angle"), ("quantities", "position")}:
-                numbered.setdefault(int(number[0]), []).append(column)
+            angle = rest & ANGLES or of_kind(column.named.units, "rad")
+            if len(number) == 1 and angle and rest <= {("devices", "joint"), *ANGLES}:
+                numbered.setdefault(number[0], []).append(column)
                 break
-    joints = machine.joints
-    if sorted(numbered) != list(range(1, len(joints) + 1)) or any(len(each) > 1 for each in numbered.values()):
+    count = len(machine.joints)
+    if sorted(numbered) != list(range(1, count + 1)) or any(len(each) > 1 for each in numbered.values()):
         return {}
-    made = {f"{joint}.q": _judged(machine, f"{joint}.q", "rad", numbered[number][0], 2, TRIED["rad"])
-            for number, joint in enumerate(joints, 1) if machine.channel_units.get(f"{joint}.q") == "rad"}
-    return {channel: replace(each, sureness="guess", reason=(
-        f"number {joints.index(channel[:-2]) + 1} of {len(joints)} in the machine file's order"))
-        for channel, each in made.items() if each is not None}
+    return {channel: replace(each, sureness="guess", reason=f"number {k} of {count} in the machine file's order")
+            for k, channel in enumerate(map("{}.q".format, machine.joints), 1)
+            if machine.channel_units.get(channel) == "rad"
+            and (each := _judged(channel, "rad", numbered[k][0], 2, TRIED["rad"], ranges.get(channel)))}
 
 
-def _inferred_units(machine: Machine, named: Mapping[str, Sequence[ColumnOf]], si: Mapping[str, str],
-                    times: Sequence[Proposal]) -> dict[str, tuple[str, ...]]:
+def _inferred_units(ranges: Mapping[str, Range], named: Mapping[str, Sequence[ColumnOf]],
+                    si: Mapping[str, str]) -> dict[str, tuple[str, ...]]:
     """The usual units of each kind that allow all columns without a unit: a logger writes all of a kind in one.
 
     Angles, lengths and pressures are then within their ranges and move, or the highest is a pressure of a hydraulic
-    machine. Columns that no unit allows do not count. Where units differ from column to column, all usual ones. What
-    IMUs measure is judged by gravity.
+    machine. Columns that no unit allows do not count. Where units differ from column to column, all usual ones.
     """
     units = dict(TRIED)
     for kind in ("rad", "m", "Pa"):
-        columns = [(channel, column) for channel, found in named.items() if si[channel] == kind
+        columns = [(ranges.get(channel), column.values) for channel, found in named.items() if si[channel] == kind
                    for column in found if not column.named.units]
-        allowed = [fitting for channel, column in columns
-                   if (fitting := [unit for unit in _fitting(machine, channel, kind, column.values, TRIED[kind])
-                                   if kind == "Pa" or _shows(machine, channel, kind, column.values, unit)])]
-        highest = max((float(np.nanmax(column.values)) for _, column in columns), default=0.0)
+        allowed = [fitting for low_high, values in columns if (fitting := [
+            unit for unit in _fitting(low_high, kind, values, TRIED[kind])
+            if kind == "Pa" or _shows(low_high, kind, values, unit)])]
+        highest = max((float(np.nanmax(values)) for _, values in columns), default=0.0)
         together = tuple(unit for unit in TRIED[kind] if all(unit in each for each in allowed)
                          and (kind != "Pa" or highest * factor(unit, "Pa") >= LEAST_PRESSURE))
         units[kind] = together or TRIED[kind]
-    return units | _by_gravity(machine.gravity, named, times)
+    return units
 
 
-def _shows(machine: Machine, channel: str, si: str, values: Array, unit: str) -> bool:
+def _shows(low_high: Range | None, si: str, values: Array, unit: str) -> bool:
     """Whether values in a unit are a pressure above `SILENT`, or move by more than a range may be left by."""
-    low_high = _limits(machine, channel, si)
     if si == "Pa":
         return bool(np.nanmax(values) * factor(unit, si) >= SILENT)
     return low_high is None or bool(np.ptp(values[np.isfinite(values)]) * factor(unit, si) >=
                                     BEYOND * (low_high[1] - low_high[0]))
 
 
-def _limits(machine: Machine, channel: str, si: str) -> tuple[float, float] | None:
-    """The range of a channel, that of a joint without limits a turn either way."""
-    return _range(machine, channel) or ((-math.tau, math.tau) if si == "rad" and channel.endswith(".q") else None)
-
-
-def _by_gravity(gravity: float, named: Mapping[str, Sequence[ColumnOf]],
+def _by_gravity(gravity: float, scores: Mapping[str, Sequence[tuple[int, ColumnOf]]],
                 times: Sequence[Proposal]) -> dict[str, tuple[str, ...]]:
     """The units of accelerations and rates of which all IMUs measure gravity, and turn it at their own rates.
 
     A gravity a that stands still turns by ȧ = −ω × a in the axes of an IMU, over one second here.
     """
+    named = {channel: [column for score, column in found if score > 1] for channel, found in scores.items()}
     sizes: dict[str, list[float]] = {"m/s^2": []}
     fit = np.zeros(4)
     for name in dict.fromkeys(channel.rpartition(".")[0] for channel in named if channel.endswith(".accel_x")):
@@ -438,48 +429,51 @@ def _by_gravity(gravity: float, named: Mapping[str, Sequence[ColumnOf]],
     return {si: tuple(units) or TRIED[si] for si, units in near.items()}
 
 
-def _fitting(machine: Machine, channel: str, si: str, values: Array, units: Sequence[str]) -> list[str]:
+def _fitting(low_high: Range | None, si: str, values: Array, units: Sequence[str]) -> list[str]:
     """Of the units, those in which the values are within a channel's range; all usual ones where it has none."""
-    low_high = _limits(machine, channel, si)
     if low_high is None:
         return [*units] if si in TRIED else []
     return [unit for unit in units if _within(values * factor(unit, si), low_high)]
 
 
-def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int,
-            usual: Sequence[str]) -> Proposal | None:
+def _judged(channel: str, si: str, column: ColumnOf, score: int, usual: Sequence[str],
+            low_high: Range | None) -> Proposal | None:
     """The proposal of a column that is named as a channel; None where its unit is of another kind.
 
     Args:
-        usual: the units that a column without one may have.
+        usual: the units that a column without one may have; `low_high`: the channel's range.
     """
-    stated, low_high = of_kind(column.named.units, si), _range(machine, channel)
-    if column.named.units and not stated:
+    named, values, stated = column.named, column.values, of_kind(column.named.units, si)
+    if named.units and not stated:
         return None
     said = {3: "named as the channel", 2: "part and quantity in its name", 1: "part or quantity inferred"}[score]
+    sureness: Sureness = "guess"
     if len(stated) == 1:
-        unit = stated[0]
-        sureness: Sureness = "sure" if score > 1 else "likely"
+        unit, scale = stated[0], factor(stated[0], si)
         said = f"{said}, in {_shown(column, unit)}"
-        if low_high is None:
-            return Proposal(channel, column, unit, sureness, said)
-        if _within(column.values * factor(unit, si), low_high):
-            return Proposal(channel, column, unit, sureness, f"{said}, values within its range")
-        return Proposal(channel, column, unit, "guess", f"{said}, but {_outside(column, unit, si, low_high)}")
-    fitting, tried = (_fitting(machine, channel, si, column.values, units) for units in (
-        stated or usual, TRIED.get(si, (si,))))
-    shown = fitting if stated else [unit for unit in fitting if _shows(machine, channel, si, column.values, unit)]
+        if low_high in (None, TURNS) or _within(values * scale, low_high):
+            sureness = "sure" if score > 1 else "likely"
+            said += ", values within its range" if low_high not in (None, TURNS) else ""
+        else:
+            least, most = np.nanmin(values), np.nanmax(values)
+            said += (f", but its values from {least:.4g} to {most:.4g} {unit} are not within "
+                     f"{low_high[0] / scale:.4g} to {low_high[1] / scale:.4g} {unit}")
+        return Proposal(channel, column, unit, sureness, said)
+    fitting, tried = (_fitting(low_high, si, values, units) for units in (stated or usual, TRIED.get(si, (si,))))
+    shown = fitting if stated else [unit for unit in fitting if _shows(low_high, si, values, unit)]
+    unit = (fitting or stated or [si])[0]
     if stated:
-        said += f", '{column.named.text}' may be {' or '.join(stated)}"
+        said += f", '{named.text}' may be {' or '.join(stated)}"
     if len(shown) == 1 and score > 1 and (stated or len(usual) == 1):  # else columns of a kind contradict each other
         who = ("its values allow" if stated or len(tried) == 1 else "gravity allows" if low_high is None else
                "all columns of its kind without a unit together allow")
-        return Proposal(channel, column, shown[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "
-                        f"{who} {shown[0]} alone")
-    if stated:
-        return Proposal(channel, column, (fitting or stated)[0], "guess", f"{said}: write the right unit")
-    choice = " or ".join(tried) if tried else "none of the usual ones fits"
-    return Proposal(channel, column, (fitting or [si])[0], "guess", f"{said}, without a unit ({choice})")
+        unit, sureness = shown[0], "likely"
+        said += f"; of {'these' if stated else 'the usual units'} {who} {unit} alone"
+    elif stated:
+        said += ": write the right unit"
+    else:
+        said += f", without a unit ({' or '.join(tried) if tried else 'none of the usual ones fits'})"
+    return Proposal(channel, column, unit, sureness, said)
 
 
 def _shown(column: ColumnOf, unit: str) -> str:
@@ -487,38 +481,28 @@ def _shown(column: ColumnOf, unit: str) -> str:
     return unit if column.named.text == unit else f"{unit} ('{column.named.text}')"
 
 
-def _range(machine: Machine, channel: str) -> tuple[float, float] | None:
-    """Lowest and highest value [SI] that a channel can have; None where the machine does not say."""
-    part, _, suffix = channel.rpartition(".")
-    try:
-        if suffix == "q":
-            joint = machine.link(part).joint
-            return None if joint.lower is None or joint.upper is None else (joint.lower, joint.upper)
-        if suffix == "length":
-            cylinder = next(each for each in machine.cylinders if each.name == part)
-            if cylinder.dead_length is None or cylinder.stroke is None:
-                return None
-            return cylinder.dead_length, cylinder.dead_length + cylinder.stroke
-    except (StopIteration, HydrooptError, KeyError):
-        return None
-    if suffix.startswith("p_"):
-        relief = next((each.relief_pressure for each in machine.hydraulic_actuators if each.name == part), None)
-        return -1e5, 1.1 * (relief or MOST_PRESSURE)
-    return None
+def _ranges(machine: Machine) -> dict[str, Range]:
+    """Lowest and highest value [SI] of the channels that have such; of a joint without limits a turn either way."""
+    found: dict[str, Range] = {channel: (-1e5, 1.1 * MOST_PRESSURE) for channel, si in machine.channel_units.items()
+                               if si == "Pa"}
+    for each in machine.hydraulic_actuators:
+        found |= dict.fromkeys(each.chambers, (-1e5, 1.1 * (each.relief_pressure or MOST_PRESSURE)))
+    for cylinder in machine.cylinders:
+        found[f"{cylinder.name}.length"] = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
+    for channel in (f"{link.name}.q" for link in machine.links if f"{link.name}.q" in machine.channel_units):
+        joint = machine.link(channel[:-2]).joint
+        if joint.lower is not None and joint.upper is not None:
+            found[channel] = joint.lower, joint.upper
+        elif machine.channel_units[channel] == "rad":
+            found[channel] = TURNS
+    return found
 
 
-def _within(values: Array, low_high: tuple[float, float]) -> bool:
+def _within(values: Array, low_high: Range) -> bool:
     finite = values[np.isfinite(values)]
     margin = BEYOND * (low_high[1] - low_high[0])
     low, high = np.quantile(finite, (0.001, 0.999))
     return bool(low_high[0] - margin <= low and high <= low_high[1] + margin)
-
-
-def _outside(column: ColumnOf, unit: str, si: str, low_high: tuple[float, float]) -> str:
-    finite = column.values[np.isfinite(column.values)]
-    scale = factor(unit, si)
-    return (f"its values from {finite.min():.4g} to {finite.max():.4g} {unit} are not within "
-            f"{low_high[0] / scale:.4g} to {low_high[1] / scale:.4g} {unit}")
 
 
 def _by_triangles(model: Model, found: Mapping[str, Proposal]) -> dict[str, Proposal]:
