@@ -22,8 +22,11 @@ from hydroopt.support.input_file import read_text, toml
 from hydroopt.units import to_si
 
 Key = str | int
-KINDS = ("csv", "parquet", "mat", "hdf5", "npz", "xlsx", "tdms", "mdf", "bags")
-"""Kinds of files, as a map may state them."""
+FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".tsv": "csv", ".asc": "csv",
+           ".parquet": "parquet", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".npz": "npz",
+           ".xlsx": "xlsx", ".xls": "xlsx", ".xlsb": "xlsx", ".ods": "xlsx", ".tdms": "tdms", ".mf4": "mdf",
+           ".mdf": "mdf", ".bag": "bags", ".db3": "bags", ".mcap": "bags"}
+"""Kinds of files, as a map may state them, by the ending of their names."""
 
 
 class Stated(BaseModel):
@@ -208,8 +211,8 @@ class LogMap(Layout):
     @field_validator("format")
     @classmethod
     def _format(cls, value: str | None) -> str | None:
-        if value is not None and value not in KINDS:
-            raise ValueError(f"'{value:.40}' is not one of {', '.join(KINDS)}")
+        if value is not None and value not in FORMATS.values():
+            raise ValueError(f"'{value:.40}' is not one of {', '.join(dict.fromkeys(FORMATS.values()))}")
         return value
 
     @field_validator("rows")

@@ -1,11 +1,7 @@
 """Raw columns of a file as numbers or texts, their writing, and what all file formats have in common."""
 
-import gzip
-import hashlib
 import io
 import math
-import os
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,19 +17,10 @@ from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.mapped import by_pieces, release
 from hydroopt.logs.stamps import Stamps
 from hydroopt.support.files import write_file
-from hydroopt.support.input_file import read_bytes
 from hydroopt.support.packages import needed
 from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]
-FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".tsv": "csv", ".asc": "csv",
-           ".parquet": "parquet", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".npz": "npz",
-           ".xlsx": "xlsx", ".xls": "xlsx", ".xlsb": "xlsx", ".ods": "xlsx", ".tdms": "tdms", ".mf4": "mdf",
-           ".mdf": "mdf", ".bag": "bags", ".db3": "bags", ".mcap": "bags"}
-FILE_LIMIT = 2 * 1024**3
-"""Largest file that is read [bytes]."""
-EXPANSION = 10
-"""Bytes of memory that a byte of text takes until an identification is done with it."""
 EXPANDED_LIMIT = 10 * 1000**3
 """Largest size in memory that a file may declare [bytes]."""
 
@@ -56,61 +43,6 @@ class Table:
     texts: dict[Key, list[str]] = field(default_factory=dict)
     stamps: Stamps | None = None
     lines: NDArray[np.int64] | None = None
-
-
-def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
-    """Bytes of a file, unpacked if it ends in .gz, their SHA-256 as they lie in the file, and the format.
-
-    Raises:
-        LogError: the file is missing, no file, too large or of an unknown kind.
-    """
-    file, where = Path(path), str(path)
-    kind = kind_of(file, declared)
-    if kind is None and os.path.isfile(file):
-        raise LogError(f"'{file.suffix}' is not a kind of log that can be read", where=where,
-                       remedy=f"use {', '.join(FORMATS)} or state 'format' in a map")
-    size = os.path.getsize(file) if os.path.isfile(file) else 0
-    if size > FILE_LIMIT:
-        raise LogError(f"the file has {size / 1e9:.1f} GB", where=where,
-                       remedy="convert it to Parquet, which is read in pieces, or split it into parts below 2 GiB")
-    if kind == "csv" and (need := EXPANSION * size) > (have := _memory()):
-        raise LogError(f"the text of {size / 1e9:.1f} GB takes about {need / 1e9:.0f} GB of memory, of which there are "
-                       f"{have / 1e9:.0f} GB", where=where,
-                       remedy="convert it to Parquet, which is read in pieces, or split it")
-    data = read_bytes(file, LogError, most=FILE_LIMIT, noun="log file")
-    if not data.strip() or kind is None:
-        raise LogError("the file is empty", where=where, remedy="record it again")
-    digest = hashlib.sha256(data).hexdigest()
-    return (_unpacked(data, where) if file.suffix.lower() == ".gz" else data), digest, kind
-
-
-def kind_of(path: str | Path, declared: str | None) -> str | None:
-    """The format of a file by its name, without .gz, unless a map declares it."""
-    file = Path(path)
-    return declared or FORMATS.get((file.with_suffix("") if file.suffix.lower() == ".gz" else file).suffix.lower())
-
-
-def _unpacked(data: bytes, where: str) -> bytes:
-    """The content of a gzip file, which may pack little bytes into many."""
-    try:
-        with gzip.open(io.BytesIO(data)) as file:
-            content = file.read(FILE_LIMIT + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise unreadable("gzip", where, error) from None
-    if len(content) > FILE_LIMIT:
-        raise LogError(f"the file unpacks to more than {FILE_LIMIT / 1e9:.1f} GB", where=where,
-                       remedy="split it, or convert it to Parquet")
-    if not content.strip():
-        raise LogError("the file is empty", where=where, remedy="record it again")
-    return content
-
-
-def _memory() -> float:
-    """Memory of this computer [bytes]; without limit where it does not say."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return float("inf")
 
 
 def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:

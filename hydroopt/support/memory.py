@@ -20,6 +20,14 @@ def limit() -> float:
     return float("inf") if soft < 0 else soft
 
 
+def available() -> float:
+    """Memory [bytes] of this computer, or what this process may use of it; infinite if neither is known."""
+    try:
+        return min(limit(), float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):  # Windows
+        return limit()
+
+
 def restrict(memory: int, seconds: int) -> None:
     """Lower this process's limits to some memory [bytes] and processor time [s], and keep it from dumping its memory.
 

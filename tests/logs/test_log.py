@@ -249,7 +249,7 @@ def test_absurd_sizes_are_refused_before_allocation(tmp_path, monkeypatch):
     monkeypatch.setattr("hydroopt.logs.table.EXPANDED_LIMIT", 1000)
     with pytest.raises(LogError, match="GB of data"):
         read_log(path)
-    monkeypatch.setattr("hydroopt.logs.table.FILE_LIMIT", 1000)
+    monkeypatch.setattr("hydroopt.logs.formats.files.EXPANDED_LIMIT", 1000)
     with pytest.raises(LogError, match="split it"):
         read_log(path)
 
@@ -272,7 +272,7 @@ rows = [2, 4]
     assert list(log.sample) == [2, 3, 4]
     assert [(each.kind, each.text) for each in log.findings] == [
         ("rows", "only data rows 2 to 4 were read"),
-        ("format", "the file was read with 1 line behind the last row left out")]
+        ("format", "the file was read with footer = 1")]
 
 
 T_LINE = '[columns]\n"t" = {column = "t", unit = "s"}\n'

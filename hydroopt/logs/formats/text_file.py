@@ -14,7 +14,7 @@ from hydroopt.errors import LogError
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Layout, LogMap
 from hydroopt.logs.formats.sheet import Sheet
-from hydroopt.logs.formats.text_layout import NO_NUMBER, cells_of, decoded, table_of
+from hydroopt.logs.formats.text_layout import NO_NUMBER, TextTable, cells_of, decoded
 from hydroopt.logs.stamps import Stamps
 from hydroopt.logs.table import Array, NoNumbersError, Table
 
@@ -37,12 +37,12 @@ class TextFile(Sheet):
             stated = stated.model_copy(update=SHEET)
         text, encoding = decoded(data, stated.encoding, where)
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        table = table_of(lines, stated.model_copy(update={"encoding": encoding}), where)
+        table = TextTable(lines, stated, encoding, where)
         self._layout, self._places = table.layout, np.array(table.rows, int) + 1
         self._lines = [lines[k] for k in table.rows]
         self.layout = table.layout.model_copy(update=dict.fromkeys(SHEET)) if sheet else table.layout
         super().__init__(where, table.names, len(self._lines), mapping.rows if mapping else None)
-        self.shown = table.shown(stated)
+        self.shown = table.shown
         if not self._lines and (longest := max(map(len, lines))) > csv.field_size_limit():
             raise LogError(f"a line of {longest} characters cannot be split into columns", where=where,
                            remedy="check the ends of its lines, its quotation marks and the delimiter")

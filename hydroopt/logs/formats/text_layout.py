@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import codecs
 import csv
+import json
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
+from typing import NamedTuple
 
 from hydroopt.errors import LogError
 from hydroopt.logs.column_headers import parts_of
@@ -25,6 +25,9 @@ SAMPLE = 400
 """Lines at the beginning, and as many at the end, by which a table is judged."""
 NO_NUMBER = ("", "nan", "NaN", "NAN", "+nan", "-nan", "-nan(ind)", "NA", "N/A", "#N/A", "null", "NULL")
 """Cells in which no number was written."""
+USUAL = {"header": (True,), "skip": (0,), "units_row": (False,), "footer": (0,), "comment": ("",), "delimiter": (",",),
+         "quote": ('"', ""), "decimal": (".",), "thousands": ("",), "encoding": ("utf-8", "utf-8-sig"), "dates": ()}
+"""What need not be said of the layout of a table."""
 _INFINITE = ("inf", "+inf", "-inf", "infinity", "-infinity")
 _ENCODINGS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32",
               codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16", b"": "utf-8"}
@@ -34,48 +37,6 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
 _CLOCK = re.compile(r"[ymdhsfz]{2,}([\W_t]+[ymdhsfz]{2,})+", re.IGNORECASE)
 """A form of dates or times, such as ``hh:mm:ss``, where a unit may stand."""
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x1f]")
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """The lines of a text with their layout, in which nothing is left open.
-
-    Attributes:
-        lines: all of the file.
-        layout: that was decided.
-        names: (n,) of the columns with their units, `name [unit]`; empty of a table without header.
-        rows: (N,) 0-based lines of the data rows, which are all behind the header but comments, empty ones and footer.
-        comments: lines left out as such behind the header.
-    """
-
-    lines: Sequence[str]
-    layout: Layout
-    names: list[str] = field(default_factory=list)
-    rows: Sequence[int] = ()
-    comments: int = 0
-
-    def shown(self, stated: Layout) -> str:
-        """What was decided beyond what is `stated`, and is not the usual table, in a sentence; empty of none."""
-        found = self.layout
-        decided = {key: getattr(found, key) if getattr(stated, key) is None else None for key in Layout.model_fields}
-        mark = decided["delimiter"]
-        said = [
-            found.encoding not in ("utf-8", "utf-8-sig") and decided["encoding"] and
-            f"encoding {'Latin-1' if found.encoding == 'latin-1' else str(found.encoding).upper()}",
-            mark not in (None, ",") and f"{'white space' if mark == 'whitespace' else repr(mark)} between columns",
-            decided["skip"] and f"{_lines(decided['skip'])} before the {'header' if found.header else 'first row'}",
-            decided["header"] is False and "no header",
-            decided["units_row"] and "units in the line below the header",
-            decided["decimal"] == "," and "',' for decimals",
-            decided["thousands"] and f"'{found.thousands}' between thousands",
-            decided["quote"] == "'" and "quotation marks '",
-            self.comments and f"{_lines(self.comments, 'comment line')} left out",
-            found.footer and f"{_lines(found.footer)} behind the last row left out"]
-        return ", ".join(str(part) for part in said if part)
-
-
-def _lines(count: int, noun: str = "line") -> str:
-    return f"{count} {noun}{'s' * (count > 1)}"
 
 
 def decoded(data: bytes, stated: str | None, where: str) -> tuple[str, str]:
@@ -112,68 +73,61 @@ def cells_of(line: str, layout: Layout) -> list[str]:
     return line.split(None if blank else layout.delimiter)
 
 
-def table_of(lines: Sequence[str], stated: Layout, where: str) -> TextTable:
-    """The table of these lines, in the layout that is stated, and decided where nothing is.
-
-    Raises:
-        LogError: what is stated is not there, or whether a mark stands for decimals or thousands is open.
-    """
-    full = [k for k, line in enumerate(lines) if line.strip()]
-    sample = [lines[k] for k in full[:SAMPLE]]
-    quote = stated.quote if stated.quote is not None else _quote(sample)
-    layout = stated.model_copy(update={"quote": quote})
-    if stated.delimiter is None:
-        fits = {each: _usual(sample, layout.model_copy(update={"delimiter": each})) for each in DELIMITERS}
-        fits = {each: usual for each, usual in fits.items() if len(usual.words) > 1 and usual.fit}
-        layout = layout.model_copy(update={"delimiter": max(fits, key=lambda each: fits[each].fit, default=",")})
-    judged = _Judged(lines, full, layout, where)
-    header = judged.header()
-    comment = judged.comment(header)
-    rows = [k for k in full if k > header.last and not (comment and lines[k].lstrip().startswith(comment))]
-    comments = sum(k > header.last for k in full) - len(rows)
-    footer = judged.footer(rows)
-    rows = rows[: len(rows) - footer]
-    decimal, thousands = _marks(judged, [*rows[:SAMPLE], *rows[SAMPLE:][-SAMPLE:]], where)
-    layout = layout.model_copy(update={
-        "header": header.named, "skip": header.first, "units_row": header.units, "comment": comment, "footer": footer,
-        "decimal": decimal, "thousands": thousands})
-    names = header.names
-    if rows and names:
-        dated = [looks_dated(cell) for cell in judged.cells(rows[0])]
-        names = ["t [s]" if is_dated and parts_of(name)[0] == "t" else parts_of(name)[0] if is_dated and header.units
-                 else name for name, is_dated in zip(names, [*dated, *[False] * len(names)], strict=False)]
-    return TextTable(lines, layout, names, rows, comments)
-
-
-@dataclass(frozen=True)
-class _Header:
+class _Header(NamedTuple):
     """Lines `first` to `last` of a header, `last` < `first` where there is none and rows begin with line `first`."""
 
     first: int
     last: int
-    named: bool = True
     units: bool = False
-    names: list[str] = field(default_factory=list)
+    names: list[str] | None = None
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """Lines of a text in a layout whose delimiter and quotation mark are decided; `full` are those not empty."""
+class TextTable:
+    """The lines of a text with their layout: the one that is stated, and decided where nothing is.
 
-    lines: Sequence[str]
-    full: Sequence[int]
-    layout: Layout
-    where: str
+    Attributes:
+        layout: in which nothing is left open.
+        names: (n,) of the columns with their units, `name [unit]`; empty of a table without header.
+        rows: (N,) 0-based lines of the data rows, which are all behind the header but comments, empty ones and footer.
+        shown: what was decided beyond what is stated, and is not the usual table, as keys of a map; empty of none.
+
+    Raises:
+        LogError: what is stated is not there, or whether a mark stands for decimals or thousands is open.
+    """
+
+    def __init__(self, lines: Sequence[str], stated: Layout, encoding: str, where: str) -> None:
+        self.lines, self.where = lines, where
+        self.full = [k for k, line in enumerate(lines) if line.strip()]
+        sample = [lines[k] for k in self.full[:SAMPLE]]
+        layout = stated.model_copy(update={
+            "encoding": encoding, "quote": _quote(sample) if stated.quote is None else stated.quote})
+        if stated.delimiter is None:
+            fits = {mark: fit for mark in DELIMITERS for width, _, fit in [
+                _usual(sample, layout.model_copy(update={"delimiter": mark}))] if width > 1 and fit}
+            layout = layout.model_copy(update={"delimiter": max(fits, key=lambda mark: fits[mark], default=",")})
+        self.layout = layout
+        self.width, self.columns, _ = _usual(sample, layout)
+        header = self._header()
+        comment = self._comment(header)
+        rows = [k for k in self.full if k > header.last and not (comment and lines[k].lstrip().startswith(comment))]
+        footer = self._footer(rows)
+        self.rows = rows = rows[: len(rows) - footer]
+        decimal, thousands = self._marks([*rows[:SAMPLE], *rows[SAMPLE:][-SAMPLE:]])
+        self.names = header.names or []
+        if rows and self.names:
+            dated = [looks_dated(cell) for cell in self.cells(rows[0])]
+            self.names = [
+                "t [s]" if is_dated and parts_of(name)[0] == "t" else parts_of(name)[0] if is_dated and header.units
+                else name for name, is_dated in zip(self.names, [*dated, *[False] * len(self.names)], strict=False)]
+        self.layout = layout.model_copy(update={
+            "header": header.names is not None, "skip": header.first, "units_row": header.units, "comment": comment,
+            "footer": footer, "decimal": decimal, "thousands": thousands})
+        self.shown = ", ".join(f"{key} = {json.dumps(value)}" for key, value in self.layout if value is not None
+                               and getattr(stated, key) is None and value not in USUAL[key])
 
     def cells(self, k: int) -> list[str]:
         """The cells of a line."""
         return cells_of(self.lines[k], self.layout)
-
-    @cached_property
-    def usual(self) -> tuple[int, tuple[int, ...]]:
-        """Number of columns of usual rows, and those of them that hold numbers or dates."""
-        found = _usual([self.lines[k] for k in self.full[:SAMPLE]], self.layout)
-        return len(found.words), tuple(sorted(found.numbers))
 
     @cached_property
     def spare(self) -> int:
@@ -184,16 +138,14 @@ class _Judged:
 
     def kind(self, k: int) -> str:
         """What a line is beside the usual rows: "row", "mixed" (numbers and words where rows have numbers) or ""."""
-        width, columns = self.usual
         cells = self.cells(k)
-        if len(cells) != width:
+        if len(cells) != self.width:
             return ""
-        numbers, words = (any(is_it(cells[j]) for j in columns) for is_it in (_is_number, _is_word))
+        numbers, words = (any(is_it(cells[j]) for j in self.columns) for is_it in (_is_number, _is_word))
         return "row" if numbers and not words else "mixed" if numbers else ""
 
     def words(self, k: int) -> list[str]:
         """The cells of a line, without a mark of comments, if they may be names or units of the usual columns."""
-        width, columns = self.usual
         line = self.lines[k].strip()
         line = line.removeprefix(self.mark(k)).strip(" ") if self.mark(k) else line
         blank = self.layout.delimiter == "whitespace"
@@ -202,8 +154,8 @@ class _Judged:
             cells = [cell.strip() for cell in found]
             while cells and not cells[-1]:
                 cells.pop()
-            named = cells and 0 <= width - len(cells) <= self.spare
-            if named and not any(_is_number(cells[j]) for j in columns if j < len(cells)):
+            named = cells and 0 <= self.width - len(cells) <= self.spare
+            if named and not any(_is_number(cells[j]) for j in self.columns if j < len(cells)):
                 return cells
         return []
 
@@ -228,7 +180,7 @@ class _Judged:
             first = above.pop()
         return first
 
-    def header(self) -> _Header:
+    def _header(self) -> _Header:
         """Where the header stands, as far as that is not stated; columns that are units of a row state them."""
         stated = self.layout
         begin = self.begin
@@ -246,13 +198,13 @@ class _Judged:
                 return self._named(found[0])
         if stated.units_row:
             raise self._no_units(begin)
-        first = self.cells(begin)[self.usual[1][0]]
-        if above and stated.delimiter != "whitespace" and len(cells := self.cells(above[0])) > self.usual[0] and all(
+        first = self.cells(begin)[self.columns[0]]
+        if above and stated.delimiter != "whitespace" and len(cells := self.cells(above[0])) > self.width and all(
                 map(_is_word, cells)):
             return self._named(above[0])  # of rows that are all too short
         if stated.header or (self.kind(begin) == "mixed" and _is_word(first)):  # names that are numbers
             return self._named(begin if self.kind(begin) == "mixed" or not above else above[0])
-        return _Header(begin, begin - 1, named=False)
+        return _Header(begin, begin - 1)
 
     def _header_at(self, skip: int) -> _Header:
         """The header behind so many lines."""
@@ -262,7 +214,7 @@ class _Judged:
             raise LogError(f"skip = {skip}, but there are {len(self.lines)} lines", where=self.where,
                            remedy="correct 'skip' in the map, or remove it")
         if stated.header is False or (stated.header is None and self.kind(rest[0]) == "row"):
-            return _Header(skip, skip - 1, named=False)
+            return _Header(skip, skip - 1)
         below = next((k for k in rest[1:] if bool(self.mark(k)) <= bool(self.mark(rest[0]))), None)
         if stated.units_row and (below is None or not self.words(below) or self.kind(below) == "row"):
             raise self._no_units(rest[0] + 1 if below is None else below)
@@ -296,7 +248,7 @@ class _Judged:
         said = [bool(header_of(cell).units) for cell in self.words(header) if cell]
         return sum(said) <= sum(known) and (2 * sum(known) > len(cells) or all(cell[0] in "[(" for cell in cells))
 
-    def comment(self, header: _Header) -> str:
+    def _comment(self, header: _Header) -> str:
         """What comments behind the header begin with, or nothing."""
         if self.layout.comment is not None:
             return self.layout.comment
@@ -304,10 +256,10 @@ class _Judged:
             return ""
         return next((mark for k in self.full if k > header.last and (mark := self.mark(k))), "")
 
-    def footer(self, rows: Sequence[int]) -> int:
+    def _footer(self, rows: Sequence[int]) -> int:
         """How many of the last lines are none of the table: words stand where the first number of a row would."""
         def is_footer(k: int) -> bool:
-            cells, columns = self.cells(k), self.usual[1]
+            cells, columns = self.cells(k), self.columns
             return bool(columns) and len(cells) > columns[0] and cells[columns[0]].strip()[:1].isalpha() and (
                 _is_word(cells[columns[0]]))
 
@@ -319,6 +271,36 @@ class _Judged:
             raise LogError(f"footer = {stated}, but this line is a row of the table",
                            where=f"{self.where}, line {wrong + 1}", remedy="correct 'footer' in the map, or remove it")
         return min(stated, len(rows))
+
+    def _marks(self, rows: Sequence[int]) -> tuple[str, str]:
+        """Marks of decimals and of thousands, as stated or by the numbers of some rows.
+
+        Raises:
+            LogError: both could be.
+        """
+        stated = self.layout
+        thousands = stated.thousands or ""
+        if stated.decimal is not None:
+            return stated.decimal, thousands
+        if thousands:
+            return "," if thousands == "." else ".", thousands
+        numbers = [cell for k in rows for cell in map(str.strip, self.cells(k))
+                   if ("," in cell or "." in cell) and _NUMBER.fullmatch(cell)]
+        both = [n for n in numbers if "," in n and "." in n]
+        last = {max(",.", key=n.rfind) for n in both}
+        if len(last) > 1:
+            raise _ambiguous(both[0], self.where)
+        if both:
+            decimal = last.pop()
+            return decimal, "," if decimal == "." else "."
+        having = {mark: some for mark in ",." if (some := [n for n in numbers if mark in n])}
+        grouped = [mark for mark, some in having.items() if all(map(_THOUSANDS.fullmatch, some))]
+        for mark in grouped:
+            if any(n.count(mark) > 1 for n in having[mark]) or len(having) > len(grouped):
+                return "," if mark == "." else ".", mark
+        if len(having) > 1 or (grouped and (grouped == [","] or stated.delimiter == ";")):
+            raise _ambiguous(next(iter(having.values()))[0], self.where)
+        return next(iter(having), "."), ""
 
 
 def _bare(unit: str) -> str:
@@ -338,25 +320,17 @@ def _quote(sample: Sequence[str]) -> str:
     return "'" if not any('"' in line for line in sample) and any(map(single.search, sample)) else '"'
 
 
-@dataclass
-class _Usual:
-    """Lines with words in the same columns; how many numbers others hold, and the sum of the shares of these."""
-
-    words: tuple[bool, ...]
-    numbers: Counter[int] = field(default_factory=Counter)
-    fit: float = 0.0
-
-
-def _usual(sample: Sequence[str], layout: Layout) -> _Usual:
-    """The lines of a sample that hold most numbers or dates, as those of a table do."""
-    found: dict[tuple[bool, ...], _Usual] = {}
+def _usual(sample: Sequence[str], layout: Layout) -> tuple[int, tuple[int, ...], float]:
+    """Number of columns of the lines with words in the same columns that hold most numbers or dates, as those of a
+    table do; which columns these are in; and the sum of their shares in the lines.
+    """
+    found: dict[tuple[bool, ...], list[list[int]]] = {}
     for line in sample:
         cells = cells_of(line, layout)
-        words, numbers = tuple(map(_is_word, cells)), [j for j, cell in enumerate(cells) if _is_number(cell)]
-        alike = found.setdefault(words, _Usual(words))
-        alike.numbers.update(numbers)
-        alike.fit += len(numbers) / max(len(numbers) + sum(words), 1)
-    return max(found.values(), key=lambda each: each.numbers.total(), default=_Usual(()))
+        found.setdefault(tuple(map(_is_word, cells)), []).append([j for j, c in enumerate(cells) if _is_number(c)])
+    words, numbers = max(found.items(), key=lambda alike: sum(map(len, alike[1])), default=((), []))
+    fit = sum(len(some) / max(len(some) + sum(words), 1) for some in numbers)
+    return len(words), tuple(sorted({*chain(*numbers)})), fit
 
 
 def _is_number(cell: str) -> bool:
@@ -369,44 +343,6 @@ def _is_number(cell: str) -> bool:
 
 def _is_word(cell: str) -> bool:
     return cell.strip() not in NO_NUMBER and not _is_number(cell)
-
-
-def _marks(judged: _Judged, rows: Sequence[int], where: str) -> tuple[str, str]:
-    """Marks of decimals and of thousands, as stated or by the numbers.
-
-    Raises:
-        LogError: both could be.
-    """
-    stated = judged.layout
-    thousands = stated.thousands or ""
-    if stated.decimal is not None:
-        return stated.decimal, thousands
-    if thousands:
-        return "," if thousands == "." else ".", thousands
-    numbers = list(_numbers(judged, rows))
-    both = [n for n in numbers if "," in n and "." in n]
-    last = {max(",.", key=n.rfind) for n in both}
-    if len(last) > 1:
-        raise _ambiguous(both[0], where)
-    if both:
-        decimal = last.pop()
-        return decimal, "," if decimal == "." else "."
-    having = {mark: [n for n in numbers if mark in n] for mark in ",."}
-    grouped = [mark for mark, found in having.items() if found and all(map(_THOUSANDS.fullmatch, found))]
-    marks = [mark for mark, found in having.items() if found]
-    for mark in grouped:
-        if any(n.count(mark) > 1 for n in having[mark]) or len(marks) > len(grouped):
-            return "," if mark == "." else ".", mark
-    if len(marks) > 1 or (grouped and (grouped == [","] or stated.delimiter == ";")):
-        raise _ambiguous(having[marks[0]][0], where)
-    return (marks or ["."])[0], ""
-
-
-def _numbers(judged: _Judged, rows: Sequence[int]) -> Iterator[str]:
-    for k in rows:
-        for cell in map(str.strip, judged.cells(k)):
-            if _NUMBER.fullmatch(cell) and ("," in cell or "." in cell):
-                yield cell
 
 
 def _ambiguous(number: str, where: str) -> LogError:
