@@ -58,7 +58,7 @@ QUARANTINE = {
     "filelock": ("support.files",),
     "rich": ("cli",),
     "plotext": ("guided.drawing",),
-    "pandas": ("logs", "results"),
+    "pandas": ("logs", "results", "support.notebook_card"),
     "pydantic": ("machine", "logs.column_map", "results.json_file"),
     "mujoco": ("machine.robot_formats.mjcf_in",),
     "dask": ("study.scheduler",),

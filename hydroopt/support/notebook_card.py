@@ -10,9 +10,7 @@ from typing import Any
 
 from hydroopt.errors import visible
 
-_CELL = "text-align:left;vertical-align:top;padding:0 1em 0 0"
-_LONG = 40
-"""Characters of a cell from which it may break over lines."""
+_KEPT = "\n\N{NARROW NO-BREAK SPACE}"
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class Card:
     """A title, facts by name, tables, and a longer text that folds away.
 
     >>> print(Card("Log <run>", {"samples": "100"}).html())
-    <div style="line-height:1.4"><strong>Log &lt;run&gt;</strong>...<td ...>samples</td><td ...>100</td>...</div>
+    <div style="line-height:1.4"><strong>Log &lt;run&gt;</strong>...<td>samples</td>...<td>100</td>...</div>
     """
 
     title: str
@@ -92,23 +90,19 @@ def figure(value: float, digits: int = 4) -> str:
 
 
 def _text(text: str) -> str:
-    return escape(visible(text, keep="\n\N{NARROW NO-BREAK SPACE}"))
+    return escape(visible(text, keep=_KEPT))
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table without columns that are empty in all its rows."""
-    kept = [k for k in range(len(rows[0])) if any(row[k] for row in rows)]
-    columns, rows = [columns[k] for k in kept if columns], [[row[k] for k in kept] for row in rows]
-    head = "".join(f'<th scope="col" style="{_CELL}">{_text(name)}</th>' for name in columns)
-    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>"
-                   for row in rows)
-    return (f'<div style="overflow-x:auto"><table style="border-collapse:collapse;margin:.4em 0">'
-            f'{f"<thead><tr>{head}</tr></thead>" if head else ""}<tbody>{body}</tbody></table></div>')
+    import pandas as pd  # noqa: PLC0415 (import cost)
 
-
-def _cell(text: str) -> str:
-    wrapped = "max-width:60em" if len(text) > _LONG else "white-space:nowrap"
-    return f'<td style="{_CELL};{wrapped}">{_text(text)}</td>'
+    frame = pd.DataFrame([[visible(cell, keep=_KEPT) for cell in row] for row in rows],
+                         columns=[visible(name) for name in columns] or None)
+    with pd.option_context("display.max_colwidth", None):
+        made = frame.loc[:, frame.ne("").any().to_numpy()].to_html(
+            header=bool(columns), index=False, border=0, justify="left", max_rows=len(rows))
+    return f'<div style="overflow-x:auto;text-align:left">{made}</div>'
 
 
 def _folded(name: str, content: str) -> str:
