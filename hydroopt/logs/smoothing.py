@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.logs import spline, two_weights
+from hydroopt.logs import spline
 from hydroopt.logs.lag import stretches
 from hydroopt.logs.spline import Basis, Filter, Grid
+from hydroopt.logs.two_weights import bandwidth, two_weights
 
 Array = NDArray[np.float64]
 
@@ -136,8 +137,7 @@ class Smoother:
         for span in spans:
             here = f"{where}, samples {span.start + 1} to {span.stop}"
             _refuse_too_short(span.stop - span.start, here)
-            if np.any(np.diff(t[span]) <= 0):
-                raise LogError("times do not increase", where=here, remedy="correct the time stamps")
+            _refuse_disorder(t[span], here)
         duration = float(t[-1] - t[0])
         if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
             raise ProblemError(
@@ -149,11 +149,11 @@ class Smoother:
         for j, name in enumerate(names):
             stated = None if smoothing.cross_validate or noise is None or np.isnan(noise[j]) else float(noise[j])
             bases, chosen = shared.choose([q[span, j] for span in spans], stated, smoothing.bandwidth)
-            fitted = [basis.spline(q[span, j], chosen) for basis, span in zip(bases, spans, strict=True)]
-            squares = sum(one.residual**2 * (span.stop - span.start) for one, span in zip(fitted, spans, strict=True))
+            squares = sum(np.sum((q[span, j] - basis.smoothed(q[span, j], chosen)[0]) ** 2)
+                          for basis, span in zip(bases, spans, strict=True))
             grids.append(bases[0].grid)
             filters.append(chosen)
-            corners.append(min(one.bandwidth for one in fitted))
+            corners.append(min(basis.bandwidth(chosen) for basis in bases))
             notes.append(_note(name, where, corners[-1], float(np.sqrt(squares / t.size)), stated, smoothing))
         return cls(tuple(grids), tuple(filters), np.array(corners), tuple(notes))
 
@@ -239,31 +239,30 @@ def condition(
         return Smoother.chosen(times, positions, parts, smoothing, stds, names, where).motion(
             times, positions, parts, where)
 
-    out = np.empty((3, *positions.shape))
-    bandwidth, passes = np.full(positions.shape[1], np.inf), np.ones(positions.shape[1], dtype=int)
-    interior = np.zeros(times.size, bool)
-    notes: list[str] = []
-    starts = np.flatnonzero(np.diff(parts, prepend=parts[0] - 1))
-    for start, stop in zip(starts, [*starts[1:], times.size], strict=True):
+    out, interior = np.empty((3, *positions.shape)), np.zeros(times.size, bool)
+    if isinstance(smoothing, TwoWeights):
+        corner = bandwidth(smoothing.speed, smoothing.acceleration)
+        note = (f"the filter with two weights, {smoothing.speed:g} s² on squared speed and {smoothing.acceleration:g} "
+                f"s⁴ on squared acceleration: {corner:.3g} Hz bandwidth")
+    else:
+        corner = smoothing.cutoff
+        note = f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz"
+    corners = np.full(positions.shape[1], corner)
+    for start, stop in stretches(parts):
         span, here = slice(start, stop), f"{where}, samples {start + 1} to {stop}"
-        if np.any(np.diff(times[span]) <= 0):
-            raise LogError("times do not increase", where=here, remedy="correct the time stamps")
+        _refuse_disorder(times[span], here)
         if isinstance(smoothing, TwoWeights):
             _refuse_too_short(stop - start, here)
-            weights = smoothing.speed, smoothing.acceleration
-            out[:, span] = two_weights.two_weights(times[span], positions[span], *weights)
-            corners = np.full(positions.shape[1], two_weights.bandwidth(*weights))
+            out[:, span] = two_weights(times[span], positions[span], smoothing.speed, smoothing.acceleration)
         else:
             out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
-            corners = np.full(positions.shape[1], smoothing.cutoff)
-        bandwidth = np.minimum(bandwidth, corners)
         interior[span] = inside(times[span], corners)
-    if isinstance(smoothing, TwoWeights):
-        notes.append(f"the filter with two weights, {smoothing.speed:g} s² on squared speed and "
-                     f"{smoothing.acceleration:g} s⁴ on squared acceleration: {bandwidth[0]:.3g} Hz bandwidth")
-    if isinstance(smoothing, Butterworth):
-        notes.append(f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz")
-    return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, passes, tuple(notes))
+    return Motion(times, out[0], out[1], out[2], parts, interior, corners, np.ones(len(corners), int), (note,))
+
+
+def _refuse_disorder(t: Array, where: str) -> None:
+    if np.any(np.diff(t) <= 0):
+        raise LogError("times do not increase", where=where, remedy="correct the time stamps")
 
 
 def inside(t: Array, corners: Array) -> NDArray[np.bool_]:

@@ -80,49 +80,12 @@ class Filter:
     passes: int = 1
 
 
-@dataclass(frozen=True)
-class SmoothSpline:
-    """A fitted curve: its coefficients, filter, bandwidth [Hz], residual std, and the splines it is made of."""
-
-    coefficients: Array
-    filter: Filter
-    bandwidth: float
-    residual: float
-    basis: "Basis"
-
-    def __call__(self, t: Array, derivative: int = 0) -> Array:
-        """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
-        basis = self.basis
-        return np.asarray(basis.curve(self.coefficients)(basis.places(t), derivative) / basis.spacing**derivative)
-
-    @property
-    def at_samples(self) -> Array:
-        """Values and first two derivatives (3, N) at the samples' own times."""
-        return self.basis.courses(self.coefficients[:, None])[:, :, 0]
-
-    def again(self, y: Array) -> "SmoothSpline":
-        """The same smoothing of other samples (N,) at the same times."""
-        return self.basis.spline(y, self.filter)
-
-    def pull_back(self, rows: Sequence[Array]) -> Array:
-        """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
-        basis = self.basis
-        pulled = sum(basis.derivative(order).T @ row.T / basis.spacing**order
-                     for order, row in enumerate(rows))
-        return np.asarray(basis.design @ basis.solve(self.filter, np.asarray(pulled))).T
-
-
 class Pieces:
     """The times (N,) of a motion's pieces on a grid of knots, and what the smoothing of all its joints shares."""
 
     def __init__(self, times: Sequence[Array], grid: Grid) -> None:
         self.times, self.grid = times, grid
         self._freedom: dict[float, float] = {}
-
-    @classmethod
-    def one(cls, t: Array) -> "Pieces":
-        """An uninterrupted motion sampled at t (N,)."""
-        return cls([t], Grid.of(t))
 
     @cached_property
     def bases(self) -> "list[Basis]":
@@ -145,11 +108,6 @@ class Pieces:
         if chosen.log_weight < _HIGHEST - 0.5 or min(basis.intervals for basis in self.bases) <= 3:
             return self.bases, chosen
         return self.coarser.choose(values, noise, bandwidth)
-
-    def fit(self, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
-        """The smoothing of samples (N,) of a motion of one piece; arguments as of the function `fit`."""
-        bases, chosen = self.choose([y], noise, bandwidth)
-        return bases[0].spline(y, chosen)
 
     @cached_property
     def _probes(self) -> list[Array]:
@@ -184,13 +142,14 @@ class Pieces:
             return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": PRECISION}).x)
 
 
-def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
-    """Smoothing spline through `y` (N,) at increasing times `t` (N,) [s], N >= MIN_SAMPLES.
+def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> "tuple[Basis, Filter]":
+    """Splines and filter of the smoothing of `y` (N,) at increasing times `t` (N,) [s], N >= MIN_SAMPLES.
 
     `noise` is the standard deviation of y's noise in y's unit; None asks for generalised cross-validation. Of a motion
     known to end at a `bandwidth` [Hz], no more is passed than half of that frequency.
     """
-    return Pieces.one(t).fit(y, noise, bandwidth)
+    bases, chosen = Pieces([t], Grid.of(t)).choose([y], noise, bandwidth)
+    return bases[0], chosen
 
 
 class Basis:
@@ -259,11 +218,14 @@ class Basis:
         once = (self.x.size / self.intervals / 10.0**chosen.log_weight) ** (1 / 6) / (2 * np.pi * self.spacing)
         return float(wider(chosen.passes) * once)
 
-    def spline(self, y: Array, chosen: Filter) -> SmoothSpline:
-        """The smoothing of samples y (N,) at the basis's times."""
-        coefficients = self.solve(chosen, self.design.T @ y)
-        return SmoothSpline(coefficients, chosen, self.bandwidth(chosen),
-                            float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
+    def smoothed(self, y: Array, chosen: Filter) -> Array:
+        """What a filter makes of samples y (N, ...), with its first two derivatives (3, N, ...)."""
+        return self.courses(self.solve(chosen, self.design.T @ y))
+
+    def pull_back(self, rows: Sequence[Array], chosen: Filter) -> Array:
+        """Derivatives (m, N) of Σ_d rows[d] @ f^(d) by the samples that f smooths, for rows (m, N)."""
+        pulled = sum(self.derivative(order).T @ row.T / self.spacing**order for order, row in enumerate(rows))
+        return np.asarray(self.design @ self.solve(chosen, np.asarray(pulled))).T
 
     def courses(self, coefficients: Array) -> Array:
         """Values and first two derivatives (3, N, k) [unit of y / s^derivative] at the samples, of coefficients (m, k).

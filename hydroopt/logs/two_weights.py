@@ -49,16 +49,6 @@ def two_weights(t: Array, y: Array, speed: float, acceleration: float) -> Array:
     return np.stack([q, np.gradient(q, t, axis=0), np.concatenate([inner[:1], inner, inner[-1:]])])
 
 
-def response(frequency: Array, speed: float, acceleration: float) -> Array:
-    """Part of the amplitude of a motion that passes at these frequencies [Hz], for short steps.
-
-    >>> response(np.array([0.0, 1.0]), 0.0, (2 * np.pi) ** -4).tolist()
-    [1.0, 0.5]
-    """
-    omega = 2 * np.pi * frequency
-    return np.asarray(1 / (1 + speed * omega**2 + acceleration * omega**4))
-
-
 def bandwidth(speed: float, acceleration: float) -> float:
     """Frequency [Hz] that passes by half."""
     if acceleration == 0:

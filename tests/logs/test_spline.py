@@ -70,7 +70,7 @@ def test_one_weight_for_several_pieces_lies_among_their_own() -> None:
     def weight(basis: spline.Basis, log_weight: float) -> float:
         return 10.0**log_weight * basis.spacing**5
 
-    low, high = (weight(one.basis, one.filter.log_weight) for one in reversed(own))
+    low, high = (weight(basis, one.log_weight) for basis, one in reversed(own))
     assert low < weight(bases[0], chosen.log_weight) < high
 
 
@@ -80,10 +80,10 @@ def test_a_stated_bandwidth_passes_by_half_and_what_is_slower_whole() -> None:
     middle = slice(1500, 4500)
     for part, passed in ((0.3, 1.0), (0.6, 0.9985), (1.0, 0.5), (2.0, 0.012)):
         y = np.sin(2 * np.pi * part * t)
-        fitted = spline.fit(t, y, 1e-9, 1.0)
-        assert fitted.filter.passes == spline.SHARP
-        assert fitted.bandwidth == pytest.approx(1.0, rel=1e-9)
-        gain = fitted(t)[middle] @ y[middle] / (y[middle] @ y[middle])
+        basis, chosen = spline.fit(t, y, 1e-9, 1.0)
+        assert chosen.passes == spline.SHARP
+        assert basis.bandwidth(chosen) == pytest.approx(1.0, rel=1e-9)
+        gain = basis.smoothed(y, chosen)[0, middle] @ y[middle] / (y[middle] @ y[middle])
         assert gain == pytest.approx(passed, abs=5e-4)
 
 

@@ -8,8 +8,14 @@ import pytest
 from hydroopt.cli.options import smoothing_of
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.smoothing import TwoWeights, condition
-from hydroopt.logs.two_weights import bandwidth, response, two_weights
+from hydroopt.logs.two_weights import bandwidth, two_weights
 from hydroopt.machine.machine_file import load_machine
+
+
+def response(frequency: np.ndarray, speed: float, acceleration: float) -> np.ndarray:
+    """Part of the amplitude of a motion that passes at these frequencies [Hz], for short steps."""
+    omega = 2 * np.pi * frequency
+    return np.asarray(1 / (1 + speed * omega**2 + acceleration * omega**4))
 
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1e-4), (0.02, 0.0), (3e-3, 2e-5)])

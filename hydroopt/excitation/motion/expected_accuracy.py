@@ -137,12 +137,12 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     angles = measured_angles(model, log) if read else motion.q
     for j, std in enumerate(angle_noise(model, log) if read else ()):
         if std > 0:
-            smooth = spline.fit(log.t, angles[:, j], float(std), machine.bandwidth)
+            splines, chosen = spline.fit(log.t, angles[:, j], float(std), machine.bandwidth)
             weighted = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
-            errors.append(std * smooth.pull_back(weighted))
-            taken = smooth.again(motion.q[:, j])
+            errors.append(std * splines.pull_back(weighted, chosen))
+            taken = splines.smoothed(motion.q[:, j], chosen)
             for order, (row, true) in enumerate(zip(weighted, (motion.q, motion.qd, motion.qdd), strict=True)):
-                off[:, 0] -= row @ (taken(motion.t, order) - true[:, j])
+                off[:, 0] -= row @ (taken[order] - true[:, j])
     noisy = np.hstack(errors)
     values, axes = np.linalg.eigh((model.parameters.information + (0 if measured is None else measured))
                                   * np.outer(scale, scale))

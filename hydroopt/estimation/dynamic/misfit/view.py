@@ -326,8 +326,7 @@ class View:
         motion, made = self.motion, np.zeros((3, len(course)))
         for a, b, basis in self._splines:
             chosen = basis.filter_of(float(motion.bandwidth[joint]), int(motion.passes[joint]))
-            curve = basis.spline(course[a:b], chosen)
-            made[:, a:b] = curve.at_samples
+            made[:, a:b] = basis.smoothed(course[a:b], chosen)
         return made
 
     @cached_property
