@@ -63,9 +63,7 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False,
                                remedy=f"write its header as '{name} [{meant[0]}]' or '{name} [{meant[1]}]'")
             unit = meant[0] if meant else unit.strip()
             si_unit(name, unit)
-        except LogError as error:
-            raise LogError(error.what, where=here, remedy=error.remedy) from None
-        except UnitError as error:
+        except (LogError, UnitError) as error:
             raise LogError(error.what, where=here, remedy=error.remedy) from None
         columns[name] = ColumnMap(column=index, unit=unit)
     if "t" not in columns and not (poses or timed):

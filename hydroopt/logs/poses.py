@@ -18,7 +18,7 @@ from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.formats.sheet import Sheet
 from hydroopt.logs.frames import FrameSheet, Tabular
-from hydroopt.logs.table import frozen, in_si, refuse_damage
+from hydroopt.logs.table import frozen, in_si, refuse_damage, stamps_of
 from hydroopt.support.notebook_card import Card
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Poses(Tabular):
         pose: (N,) label of the pose; default, and where empty, the number of its row.
         tape: (N,) fixture at which the taped distances of the row end, whether or not it holds the tip; default ''.
         setup: (N,) set-up of the instruments whose poses are not known; default '', the only one.
-        t: (N,) time [s]; default NaN, not stated.
+        t: (N,) time [s], of dates since 1970; default NaN, not stated.
         channels: (N,) values by channel name such as ``boom.q`` or ``tip.x``, in SI; NaN where not read.
         units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
         row: (N,) 1-based data row in its file; default 1..N.
@@ -240,8 +240,12 @@ def _of_sheet(sheet: Sheet, layout: LogMap | None, name: str, words: Mapping[str
     """The poses of a sheet by its header or a map, whose labels may hold `words` of the file's path."""
     layout = map_of_header(sheet.header, sheet.where, poses=True)[0] if layout is None else layout
     labels = dict(layout.labels or Labels())
-    table = sheet.read(layout.keys, [label.column for label in labels.values() if isinstance(label, TextColumn)])
+    time = layout.columns["t"].column if "t" in layout.columns else None
+    table = sheet.read(layout.keys, [each.column for each in labels.values() if isinstance(each, TextColumn)], time)
     values, units = in_si(layout, table, sheet.where)
+    made = stamps_of(layout, table)
+    if "t" in values and made is not None and made.start is not None:  # seconds since 1970, as in all tables
+        values["t"] = values["t"] + made.start.astype("M8[ns]").astype(float) * 1e-9
     refuse_damage(table, sheet.where)
     if not units:
         raise LogError("there is no channel", where=sheet.where,

@@ -92,12 +92,10 @@ def parts_without_map(sheets: Sequence[Sheet], where: str) -> list[Part]:
     """
     parts = []
     for sheet in sheets:
-        header = sheet.header
-        if len(sheets) > 1 and not any("." in parts_of(name)[0] and parts_of(name)[1] for name in header):
-            continue
-        layout, ignored = map_of_header(list(header), sheet.where, timed=sheet.own_stamps)
-        refuse_idle(layout, sheet.where, mapped=False)
-        parts.append(Part(sheet.name, sheet.where, sheet, layout, ignored))
+        if len(sheets) == 1 or any("." in name and unit for name, unit in map(parts_of, sheet.header)):
+            layout, ignored = map_of_header(sheet.header, sheet.where, timed=sheet.own_stamps)
+            if layout.columns.keys() - {"t"}:
+                parts.append(Part(sheet.name, sheet.where, sheet, layout, ignored))
     if not parts:
         shown = ", ".join(f"'{name}'" for sheet in sheets for name in sheet.header[:4])
         raise LogError(f"no column is a channel with a unit, such as 'boom.q [deg]' (present: {shown[:200]})",
@@ -111,26 +109,22 @@ def parts_of_map(layout: LogMap, sheets: Sequence[Sheet], where: str) -> list[Pa
     Raises:
         LogError: a column stands in no sheet or in several, or there is no time.
     """
-    refuse_idle(layout, where, mapped=True)
-    found: dict[tuple[int, str], dict[str, ColumnMap]] = {}
-    constants: dict[str, ColumnMap] = {}
-    for channel, column in layout.columns.items():
-        if channel == "t":
-            continue
-        if not column.keys:
-            constants[channel] = column
-            continue
-        k = _sheet_of(column, channel, layout, sheets, where)
-        names = {sheet.name for sheet in sheets}
-        clock = column.group if column.group is not None and column.group not in names else sheets[k].name
-        found.setdefault((k, clock), {})[channel] = column
-    if not found:
-        found[0, sheets[0].name] = {}
+    mapped = {channel: column for channel, column in layout.columns.items() if channel != "t"}
+    if not mapped:
+        raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
+                       "which unit, and remove the # before it")
+    names = [sheet.name for sheet in sheets]
+    found: dict[tuple[int, str], set[str]] = {}
+    for channel, column in mapped.items():
+        if column.keys:
+            k = _sheet_of(column, channel, layout, sheets, where)
+            clock = column.group if column.group is not None and column.group not in names else names[k]
+            found.setdefault((k, clock), set()).add(channel)
     parts: list[Part] = []
-    for (k, name), columns in found.items():
+    for (k, name), channels in found.items() or [((0, names[0]), set[str]())]:
         sheet, stated = sheets[k], layout.clocks.get(name, ClockMap())
-        held = columns if parts else columns | constants
-        ordered = {channel: held[channel] for channel in layout.columns if channel in held}
+        ordered = {channel: column for channel, column in mapped.items()  # constants stand in the first part
+                   if channel in channels or not (column.keys or parts)}
         if (time := _time_of(sheet, stated, layout, alone=len(sheets) == 1)) is not None:
             ordered = {"t": time} | ordered
         parts.append(Part(name, sheet.where, sheet, layout.model_copy(update={"columns": ordered}), (),
@@ -148,10 +142,9 @@ def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[
         present = ", ".join(f"'{sheet.name}'" for sheet in sheets[:20])
         raise LogError(f"there is no group '{column.group}' for '{channel}' (present: {present})", where=where,
                        remedy="correct 'group' in the map, or add the clock")
-    candidates = named or list(range(len(sheets)))
-    if len(candidates) == 1:
-        return candidates[0]
-    holding = [k for k in candidates if all(sheets[k].holds(key) for key in column.keys)]
+    holding = named or list(range(len(sheets)))
+    if len(holding) > 1:
+        holding = [k for k in holding if all(map(sheets[k].holds, column.keys))]
     if len(holding) == 1:
         return holding[0]
     shown = f"column {column.column!r}"
@@ -178,21 +171,6 @@ def _time_of(sheet: Sheet, clock: ClockMap, layout: LogMap, *, alone: bool) -> C
         return None
     raise LogError("channel 't' is missing" + ("" if alone else f" in '{sheet.name}'"), where=sheet.where,
                    remedy="map the column of the time" + ("" if alone else f", as t in [clocks.\"{sheet.name}\"]"))
-
-
-def refuse_idle(layout: LogMap, where: str, *, mapped: bool) -> None:
-    """Refuse a log none of whose columns is a channel, by its header or by a map that was stated.
-
-    Raises:
-        LogError: there is none.
-    """
-    if layout.columns.keys() - {"t"}:
-        return
-    if mapped:
-        raise LogError("its map names no channel", where=where, remedy="write in it which column is which channel, in "
-                       "which unit, and remove the # before it")
-    raise LogError("there is no channel", where=where, remedy="name columns like 'boom.q [deg]' or "
-                   "'boom_cylinder.p_head [bar]', or state a map: 'hydroopt map' proposes one")
 
 
 def _refuse_damage(table: Table, t: Array, where: str) -> None:

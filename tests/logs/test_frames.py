@@ -99,6 +99,13 @@ def test_poses_go_there_and_back(tmp_path) -> None:
         Poses.from_frame(poses.to_frame().assign(note="x"))
 
 
+def test_poses_have_dates_in_a_column_or_the_index():
+    moments = pd.date_range("2026-01-31T12:00", periods=2, freq="30s")
+    for made in (pd.DataFrame({"boom.q [rad]": [0.1, 0.2]}, index=moments),
+                 pd.DataFrame({"t": moments, "boom.q [rad]": [0.1, 0.2]})):
+        assert Poses.from_frame(made).t.tolist() == [1769860800.0, 1769860830.0]
+
+
 def test_foreign_columns_and_missing_values_are_findings() -> None:
     log = Log.from_frame(frame(operator="me", Remarks=1.0))
     assert [f.kind for f in log.findings] == ["ignored"]
