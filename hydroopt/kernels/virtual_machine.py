@@ -1,47 +1,11 @@
-"""Functions on CasADi's virtual machine: with fewer operations, and at one sample at a time."""
+"""Functions on CasADi's virtual machine at one sample at a time."""
 
 from __future__ import annotations
-
-import hashlib
-from contextlib import suppress
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from hydroopt.kernels.expression_graph import program
 from hydroopt.spatial.inertia import Array
-from hydroopt.support import cache
-
-LONG = 200
-"""Operations of a function below which it is not worth a file."""
-
-
-def simplified(function: ca.Function) -> ca.Function:
-    """The same function with few operations and dense outputs, from the cache or simplified now and kept there.
-
-    To simplify one takes longer than to use it. What is kept stands under the hash of all that it depends on: the
-    function, how it is simplified, CasADi.
-
-    >>> x = ca.SX.sym("x")
-    >>> simplified(ca.Function("twice", [x], [x * 3 + x * 3])).n_instructions()
-    4
-    """
-    if function.n_instructions() < LONG:
-        return program(function).function()
-    key = hashlib.sha256()
-    how = Path(__file__).with_name("expression_graph.py").read_bytes()
-    for part in (function.serialize().encode(), how, ca.__version__.encode()):
-        key.update(hashlib.sha256(part).digest())
-
-    def simple(place: Path) -> Path:
-        (place / "function").write_text(program(function).function().serialize())
-        return place / "function"
-
-    with suppress(OSError):
-        return cache.kept("", key.hexdigest()[:32], ".function", simple,
-                          lambda file: ca.Function.deserialize(file.read_text()))
-    return program(function).function()
 
 
 class OneSample:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.native import Runner
-from hydroopt.kernels.virtual_machine import simplified
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import GivenMachine, machine_of
@@ -382,7 +381,8 @@ class Model(Drawn):
 
 def _dense(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX]) -> ca.Function:
     """A function with few operations and dense outputs, so that their layout is the same for every machine."""
-    return simplified(ca.Function(name, [*inputs.values()], [*outputs.values()], [*inputs], [*outputs]))
+    values = [ca.densify(value) for value in ca.cse([*outputs.values()])]
+    return ca.Function(name, [*inputs.values()], values, [*inputs], [*outputs])
 
 
 def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, ...]:

@@ -1,4 +1,4 @@
-"""The folder of compiled kernels and simplified functions.
+"""The folder of compiled kernels.
 
 Whoever can write there runs code as this user. The folder is used only if no other user can: it belongs to this user,
 and only this user and root can write to it and to the folders above it, as ssh requires of its keys.
