@@ -35,9 +35,6 @@ def control(
         "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.6 keeps a gain margin of 8.5 dB, "
         "1.3 of 12.7 dB. Every value keeps a phase margin of 45 degrees."))] = 1.6,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
-    drawn: Annotated[int, typer.Option("--draws", min=0, max=1000, help=(
-        "Machines to draw from the file's confidences as well; each is identified from a test of its valves and "
-        "follows the motion. Some 20 s each."))] = 0,
     noise: Noise = True,
 ) -> None:
     """Close the loop in simulation: controllers with several models of a machine follow a motion on its true self.
@@ -57,7 +54,6 @@ def control(
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.parameter_source import Origin
     from hydroopt.control.comparison import FEEDFORWARD, compare
-    from hydroopt.control.draws import draws
     from hydroopt.control.setting import COMPLETE, ModelVariant, Setting, nominal_of, rate_of, reduced, truth
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
@@ -91,12 +87,9 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, path, *truth(true, plant, seed=run.seed), plant.parameters.nominal,
                           rate_of(plant, rate, path), run.seed if noise else None, sensitivity, gain)
-        share = 0.95 / (1 + drawn)
         found = compare(setting, variants, kinds,
-                        progress=lambda text, part=None: say(text, None if part is None else share * part))
-        machines = draws(setting, drawn, progress=lambda text, part=None: say(
-            text, None if part is None else share + (0.95 - share) * part))
-        comparison = replace(found, draws=machines, source=origin.text, options={
+                        progress=lambda text, part=None: say(text, None if part is None else 0.95 * part))
+        comparison = replace(found, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": run.seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
         say("writing the code", 0.95)

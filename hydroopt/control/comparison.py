@@ -15,7 +15,6 @@ import numpy as np
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run
-from hydroopt.control.draws import Draw, spread
 from hydroopt.control.linear_plant import Point, point
 from hydroopt.control.loops import Loops, Margin, frequencies
 from hydroopt.control.lqg import Lqg, design, reading_noise
@@ -134,7 +133,6 @@ class Comparison(Answer):
         reference: joint positions (N, n) to follow.
         source: origin of the machine's parameters, in words.
         options: of the command, kept in the JSON file.
-        draws: drawn machines, each identified from its own test of the valves; none unless asked for.
     """
 
     job = Job.CONTROL
@@ -146,7 +144,6 @@ class Comparison(Answer):
     reference: Array
     source: str = "the machine file"
     options: Mapping[str, Any] = field(default_factory=dict)
-    draws: tuple[Draw, ...] = ()
 
     @cached_property
     def sweeps(self) -> tuple[Sweep, ...]:
@@ -311,8 +308,7 @@ class Comparison(Answer):
         return {**self.options, "origin": self.source, "rate": self.setting.rate,
                 "truth_text": self.setting.true.text, "winner": self.winner.name,
                 "candidates": [self._candidate(each) for each in self.outcomes],
-                "lost_margins": [each._asdict() for each in self.lost_margins],
-                "draws": [{key: number(value) for key, value in each._asdict().items()} for each in self.draws]}
+                "lost_margins": [each._asdict() for each in self.lost_margins]}
 
     def _candidate(self, outcome: Outcome) -> dict[str, Any]:
         run = outcome.run
@@ -369,10 +365,6 @@ class Comparison(Answer):
                 f"tip {1e3 * outcome.tip_rms:.1f} mm RMS, {1e3 * outcome.tip.max():.1f} mm at most; "
                 f"{outcome.run.pressure.max() / 1e5:.0f} bar at most, {outcome.run.energy / 1e3:.0f} kJ"))
                 + (" (best)" if outcome is self.winner else ""))
-        if self.draws:
-            nominal, identified = ([getattr(each, key) for each in self.draws] for key in ("nominal", "identified"))
-            lines.append(f"  {len(self.draws)} drawn machines, feedforward: tip {spread(nominal)} RMS with the machine "
-                         f"file's numbers, {spread(identified)} identified from a test of the valves")
         return "\n".join(lines)
 
     def psi_of(self, variant: ModelVariant) -> Array:

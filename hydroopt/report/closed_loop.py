@@ -52,7 +52,6 @@ def render(comparison: Comparison) -> str:
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
         rows=[_row(comparison, outcome) for outcome in comparison.outcomes],
-        draws=[(each.seed, *(plain(1e3 * value, 3) for value in each[1:])) for each in comparison.draws],
         gains=[(name, *(plain(value, 3) for value in values))
                for name, values in comparison.gains_of_actuators.items()],
         lost=_lost(comparison),

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fixtures.bad_control_cases import path
 from fixtures.pages import data_of, stands_alone
@@ -116,16 +115,3 @@ def test_the_answer_is_loaded(folder: Path, content: dict) -> None:
         assert answer.fit[one["name"]]["lift.q"].rms == pytest.approx(one["joints"][0]["rms"])
     assert answer.details()["winner"] == content["winner"]
     assert {"tracking.csv", "margins.csv", "runs.csv"} <= answer.files().keys()
-
-
-@pytest.mark.slow
-def test_drawn_machines_are_identified_and_tracked(tmp_path: Path) -> None:
-    """Each of two machines follows closer by what its own test told than by the file."""
-    (tmp_path / "path.csv").write_text(path(duration=6.0))
-    done = CliRunner().invoke(cli.app, ["control", "patu655_lift", "--motion", str(tmp_path / "path.csv"), "-o",
-                                        str(tmp_path / "out"), "--controller", "feedforward", "--draws", "2"])
-    assert done.exit_code == 0, done.output
-    rows = json.loads((tmp_path / "out" / "control.json").read_text("utf-8"))["draws"]
-    assert [row["seed"] for row in rows] == [0, 1]
-    assert all(0 < row["identified"] < row["nominal"] for row in rows)
-    assert "2 drawn machines, feedforward" in done.output

@@ -12,7 +12,6 @@ from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run, simulate
 from hydroopt.control.comparison import FEEDFORWARD, LQG, compare
-from hydroopt.control.draws import draws
 from hydroopt.control.reference import Demand
 from hydroopt.control.setting import COMPLETE, TRUE, ModelVariant, Setting
 from hydroopt.control.tuning import _singular_values
@@ -78,14 +77,6 @@ def test_neither_cylinder_works_against_the_other(asked: Setting, followed: tupl
     demand, run = followed
     force = np.einsum("nks,ks->nk", run.pressure * [1, -1], [each.areas for each in asked.plant.actuators])
     assert np.max(np.abs(force - demand.measured_force)) < 0.1 * np.max(np.abs(demand.measured_force))
-
-
-@pytest.mark.slow
-def test_draws_drive_two_valves_of_a_joint_together(asked: Setting) -> None:
-    """The steps of their test swing this crane's grapple past its limits, which the refusal says."""
-    assert draws(asked, 0) == ()
-    with pytest.raises(ProblemError, match="drive grapple out of its range"):
-        draws(asked, 1)
 
 
 @pytest.mark.slow
