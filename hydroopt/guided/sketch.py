@@ -1,5 +1,4 @@
-"""A machine of a kind with the answers so far, typical numbers for the rest, what is still to be asked, and the plane
-geometry that follows."""
+"""A machine of a kind with the answers so far, typical numbers for the rest, and what is still to be asked."""
 
 from __future__ import annotations
 
@@ -8,7 +7,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 from hydroopt.guided.kinds import CylinderPart, Kind, LinkagePart, Member, Telescope
 from hydroopt.guided.plane import OpenError, by_distances, near_to, turned
@@ -26,15 +24,6 @@ SIZES = ("bore", "rod")
 """Of a cylinder's lengths those that are no distances between pins."""
 FAR = 1.5
 """Ratio of an answer to the typical one from which on it is named where something does not close."""
-
-
-class Part(NamedTuple):
-    """A part from the side: name, whether it was answered, and the points [m] of its line or outline."""
-
-    name: str
-    known: bool
-    points: tuple[complex, ...]
-    cylinder: bool = False
 
 
 @dataclass(frozen=True)
@@ -311,71 +300,6 @@ class Sketch:
         if len(longest) < 2:
             raise OpenError(f"with the {self.members[k - 1].name} at {math.degrees(before):.0f} deg: {reason}")
         return min(longest), max(longest)
-
-    def parts(self) -> Iterator[Part]:
-        """Every part from the side, in mid-range, as far as it closes."""
-        at, heading, outlines, others = 0j, 0.0, list[list[complex]](), list[Part]()
-        for k, member in enumerate(self.members):
-            if k == 0 and self.column:
-                at = 1j * self.length(0)
-                outlines.append([0j, at])
-                continue
-            angle, rocker = self._mid(k, heading)
-            before = cmath.exp(1j * heading)
-            base = at - (self.length(k - 1) * before if k else 0)
-            heading += angle
-            link = cmath.exp(1j * heading)
-            outlines.append([at, at + self.length(k) * link])
-            part = member.cylinder
-            if part is not None and not math.isnan(rocker):
-                foot = (base if member.linkage else at) + self.barrel(k, heading - angle) * before
-                done = self.measured(f"{part.name}.bore")
-                if member.linkage is None:
-                    rod = at + self.point(f"{part.name}.rod_pin") * link
-                    outlines[k].append(rod)
-                else:
-                    own = member.linkage
-                    pivot = base + self.point(f"{own.rocker_name}.pin") * before
-                    arm = cmath.exp(1j * rocker) * before
-                    end = pivot + self.number(f"{own.rocker_name}.length") * arm
-                    rod, pin = pivot + self.rocker_rod(own) * arm, at + self.point(f"{own.coupler_name}.pin") * link
-                    others += [Part(own.rocker_name, done, (rod, pivot, end)),
-                               Part(own.coupler_name, done, (end, pin))]
-                    outlines[k].append(pin)
-                    outlines[k - 1].append(pivot)
-                if k and not part.on_ground:
-                    outlines[k - 1].append(foot)
-                others.append(Part(part.name, done, (foot, rod), cylinder=True))
-            at += self.length(k) * link
-        telescope = self.kind.telescope
-        if telescope is not None and self.sections:
-            others += self._sections(telescope.name, at, link)
-        for member, outline in zip(self.members, outlines, strict=True):
-            centre = sum(outline) / len(outline)
-            around = sorted(outline, key=lambda point, centre=centre: cmath.phase(point - centre))  # type: ignore[misc]
-            yield Part(member.name, self.measured(f"{member.name}.length"), (*around, around[0]))
-        yield from others
-
-    def _sections(self, name: str, at: complex, link: complex) -> Iterator[Part]:
-        """The sections of a telescope, half extended, and their cylinder; `at` is the far end when it is retracted."""
-        cylinder, end = f"{name}_cylinder", at
-        for section in [name, f"{name}_second"][:self.sections]:
-            begin, end = end, end + self.number(f"{section}.travel") / 2 * link
-            yield Part(section, self.measured(f"{section}.travel"), (begin, end))
-        pivot = at - self.length(len(self.members) - 1) * link
-        foot = pivot + complex(*(self.number(f"{cylinder}.barrel_{way}") for way in ("forward", "up"))) * link
-        extended = self.number(f"{name}_stroke.retracted") + self.number(f"{name}.travel") / 2
-        yield Part(cylinder, self.measured(f"{cylinder}.bore"), (foot, foot + extended * link), cylinder=True)
-
-    def _mid(self, k: int, heading: float) -> tuple[float, float]:
-        """Angles of member k and its rocker in the middle; that of the rocker is NaN where something does not close."""
-        member = self.members[k]
-        try:
-            if member.cylinder is None:
-                return sum(self.limits(k)) / 2, math.nan
-            return self.posture(k, sum(self.stroke(k)) / 2, heading if k else 0.0)
-        except OpenError:
-            return math.radians(sum(member.range) / 2), math.nan
 
 
 class _Interview:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from hydroopt import identification_problem, random_trajectory, random_truth, simulate, solve
-from hydroopt.guided.drawing import HEIGHT, WIDTH, page, terminal
+from hydroopt.guided.drawing import HEIGHT, WIDTH, page, side, terminal
 from hydroopt.guided.kinds import KINDS
 from hydroopt.guided.machine_text import machine_text
 from hydroopt.guided.plane import OpenError, by_distances, turned
@@ -97,9 +95,10 @@ def test_a_telescope_slides_along_its_boom_as_its_cylinder_says(sections: int) -
     np.testing.assert_allclose(lengths, 1.6 + q[:, 3], atol=1e-9)
     note = machine.notes["telescope_cylinder.barrel.pin"]
     assert note.source == "tape measure"
-    names = [part.name for part in sketch.parts()]
-    assert [name for name in names if name.startswith("telescope")] == [
-        *["telescope", "telescope_second"][:sections], "telescope_cylinder"]
+    seen = side(sketch)
+    assert seen is not None
+    assert {part.name for part in seen.first.parts if part.name.startswith("telescope")} == {
+        *["telescope", "telescope_second"][:sections], "telescope_cylinder"}
 
 
 def test_a_telescope_whose_cylinder_cannot_hold_its_stroke_is_refused() -> None:
@@ -176,34 +175,15 @@ def test_drawings_fit_and_show_every_part(kind: str) -> None:
         assert max(map(len, lines)) <= WIDTH
         html = page(sketch)
         for member in sketch.members:
-            assert f"<title>{member.name}</title>" in html
+            assert member.name in html
     assert 'http-equiv="refresh"' in html
     assert 'http-equiv="refresh"' not in page(sketch, finished=True)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_legend_states_what_is_dashed(kind: str) -> None:
-    untouched, typed = Sketch(KINDS[kind], {}), answered(kind)
-    numbers = Sketch(typed.kind, {each.key: typed.answers[each.key] or each.shown for each in typed.questions})
-    length = next(each for each in typed.answers if each.endswith(".length"))
-    some = Sketch(typed.kind, {**typed.answers, length: "3 m"})
-    for sketch, said in ((untouched, "All parts are typical"), (typed, "All parts are typical"),
-                         (some, "Dashed parts are typical"), (numbers, "All parts were answered")):
-        html = page(sketch)
-        assert said in html
-        assert html.count("stroke-dasharray") == sum(not part.known for part in sketch.parts())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_names_in_the_picture_do_not_overlap_and_lie_within(kind: str) -> None:
-    html = page(answered(kind))
-    left, top, width, height = map(float, re.search(r'viewBox="([^"]+)"', html)[1].split())
-    names = re.findall(r'<text x="([^"]+)" y="([^"]+)" font-size="([^"]+)"[^>]*>([^<]+)<', html)
-    lines = sorted(float(y) for _, y, _, _ in names)
-    size = float(names[0][2])
-    assert all(after - before >= size for before, after in pairwise(lines))
-    assert all(left <= float(x) and float(x) + 0.6 * size * len(name) <= left + width for x, _, _, name in names)
-    assert top + size <= lines[0] <= lines[-1] <= top + height
+def test_lengths_of_no_machine_are_said_instead_of_drawn() -> None:
+    open_ = Sketch(KINDS["crane"], {"main_boom_stroke.retracted": "3 m"})
+    assert side(open_) is None
+    assert terminal(open_) in page(open_)
 
 
 def test_triangles() -> None:
