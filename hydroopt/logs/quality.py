@@ -53,9 +53,8 @@ class Finding:
     text: str
 
 
-def finding(kind: str, channel: str, mask: NDArray[Any], sample: NDArray[np.int64], text: str) -> Finding:
-    """The samples in a mask (N,), or at places (m,), as one finding; `text` starts with a plural verb."""
-    rows = sample[mask]
+def finding(kind: str, channel: str, rows: NDArray[np.int64], text: str) -> Finding:
+    """Samples by their data rows (m,) as one finding; `text` starts with a plural verb."""
     noun, (verb, rest) = "samples", text.split(" ", 1)
     if rows.size == 1:
         noun, verb = "sample", "is" if verb == "are" else f"{verb}s"

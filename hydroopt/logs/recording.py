@@ -135,7 +135,7 @@ class Recording(Shown):
             for mask, text in ((outside, f"stand outside of the time of {shown}; left out"),
                                (inside, f"stand in a gap of {shown}; left out")):
                 if mask.any():
-                    lost.append(quality.finding("unpaired", "t", mask, base.sample, text))
+                    lost.append(quality.finding("unpaired", "t", base.sample[mask], text))
             keep &= ~(outside | inside)
             if not np.array_equal(group.t, base.t):
                 count, verb = _lost(base, group), "is" if len(alike) == 1 else "are"

@@ -33,25 +33,23 @@ without anything else is dropped."""
 AT_ONCE = {"nan": ("interpolate",), "spike": ("interpolate",), "non-monotonic": ("drop",), "duplicate": ("mean",),
            "held": ("drop", "error")}
 """Actions that take all samples of a log at once, however many there are."""
-Found = tuple[str, str, Mask, str]
-"""What a check finds: its kind, the channel, samples (N,), and a text that starts with a plural verb."""
+Found = tuple[str, str, NDArray[Any], str]
+"""What is found: its kind, the channel, a mask of samples (N,) or their data rows (m,), and what these do, a text that
+starts with a plural verb."""
 PIECE, BESIDE = 2**17, 2**10
 """Samples of a log that are treated and smoothed together, and those beside them by which they are judged."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far.
-
-    Of a piece of a longer log only findings in the rows `reported` (first, last) are kept, and `whole` are the extremes
-    of the log's channels.
+    """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found; of a piece of a longer
+    log `whole` are the extremes of the log's channels.
     """
 
     t: Array
     channels: dict[str, Array]
     sample: NDArray[np.int64]
     findings: tuple[Finding, ...] = ()
-    reported: tuple[int, int] | None = None
     whole: Mapping[str, Extremes] | None = None
 
     def having(self, name: str, x: Array) -> "Samples":
@@ -111,15 +109,25 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extr
         LogError: a kind whose action is "error" was found, or too little is left.
     """
     at_once = samples.t.size <= PIECE or any(chosen[kind] in actions for kind, actions in AT_ONCE.items())
-    return _sampling((_treated if at_once else _by_pieces)(samples, chosen, limits, where), chosen, where)
+    samples, found = (_treated if at_once else _by_pieces)(samples, chosen, limits, where)
+    behind, sampling = _sampling(samples)
+    for kind, channel, places, text in sampling:
+        _refuse(samples, (kind, channel, places, text), chosen, where)
+        found.append((kind, channel, samples.sample[places], text))
+    return replace(samples, findings=tuple(_findings(found, chosen))), numbered(
+        behind if chosen["gap"] == "split" else behind[:0], samples.t.size)
 
 
-def _treated(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes], where: str) -> Samples:
-    """What is left of samples, gaps and jitter of their times aside."""
+def _treated(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes],
+             where: str) -> tuple[Samples, list[Found]]:
+    """What is left of samples, and what was found by rows, gaps and jitter of their times aside."""
+    found = list[Found]()
     for check in (_not_a_number, _order, _repeats, *([_held] if chosen["held"] != "keep" else []), _outliers):
         drop = np.zeros(samples.t.size, bool)
         for kind, name, mask, text in check(samples, limits, where):
-            samples, action = _note(samples, kind, name, mask, text, chosen, where), chosen[kind]
+            action = chosen[kind]
+            _refuse(samples, (kind, name, mask, text), chosen, where)
+            found.append((kind, name, samples.sample[mask], text))
             if action == "interpolate":
                 samples = _bridge(samples, name, mask, where)
             elif action == "use" and is_force(name):
@@ -135,60 +143,49 @@ def _treated(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, E
         if samples.t.size < 2:
             raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
                            remedy="choose other treatments or record the log again")
-    return samples
+    return samples, found
 
 
-def _by_pieces(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes], where: str) -> Samples:
+def _by_pieces(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, Extremes],
+               where: str) -> tuple[Samples, list[Found]]:
     """The same of many samples, of which a piece and what lies beside it are judged at a time."""
-    count, keep, found = samples.t.size, np.zeros(samples.t.size, bool), list[Finding]()
+    count, keep, found = samples.t.size, np.zeros(samples.t.size, bool), list[Found]()
     whole = {name: extremes(x) for name, x in samples.channels.items()}
     for start in range(0, count, PIECE):
         core, around = slice(start, min(start + PIECE, count)), slice(max(start - BESIDE, 0), start + PIECE + BESIDE)
         rows = samples.sample[core]
         piece = Samples(samples.t[around], {name: x[around] for name, x in samples.channels.items()},
-                        samples.sample[around], (), (int(rows[0]), int(rows[-1])), whole)
-        piece = _treated(piece, chosen, limits, where)
+                        samples.sample[around], whole=whole)
+        piece, some = _treated(piece, chosen, limits, where)
         keep[core] = np.isin(rows, piece.sample)
-        found += piece.findings
+        found += [(kind, name, at[(at >= rows[0]) & (at <= rows[-1])], text) for kind, name, at, text in some]
         release()
     for name in (name for name, ends in whole.items() if np.any(np.isinf(ends))):
         samples.channels[name] = by_pieces(count, partial(_finite, samples.channels[name]))
-    samples = replace(samples, findings=tuple(_joined(found)))
-    return samples if keep.all() else samples.keep(keep)
+    return samples if keep.all() else samples.keep(keep), found
 
 
-def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:
-    """Findings of one kind in one channel as one."""
-    groups: dict[tuple[str, str], list[Finding]] = {}
-    for one in findings:
-        groups.setdefault((one.kind, one.channel), []).append(one)
-    for (kind, channel), some in groups.items():
-        count, text = sum(one.count for one in some), some[0].text
-        yield Finding(kind, channel, some[0].first, some[-1].last, count, text if len(some) == 1 else
-                      f"{text}; {count} samples in all, the last of them {some[-1].last}")
+def _findings(found: Iterable[Found], chosen: Mapping[str, str]) -> Iterator[Finding]:
+    """What was found of one kind in one channel as one finding, with what was done about it."""
+    groups: dict[tuple[str, str], tuple[list[NDArray[Any]], str]] = {}
+    for kind, channel, rows, text in found:
+        if rows.size:
+            groups.setdefault((kind, channel), ([], text))[0].append(rows)
+    for (kind, channel), (some, text) in groups.items():
+        done = {"keep": "", "drop": "; dropped", "interpolate": "; interpolated", "first": "; first one kept",
+                "mean": "; averaged", "split": "; split there",
+                "use": "; used for other actuators" if is_force(channel) else "; dropped"}[chosen[kind]]
+        yield find.finding(kind, channel, np.concatenate(some), f"{text}{done}")
 
 
-def _note(
-    samples: Samples, kind: str, channel: str, mask: NDArray[Any], text: str, chosen: Mapping[str, str], where: str
-) -> Samples:
-    """Add a finding, or raise where the action is "error"."""
-    action = chosen[kind]
-    if samples.reported and action != "error":
-        mask = mask & (samples.sample >= samples.reported[0]) & (samples.sample <= samples.reported[1])
-        if not mask.any():
-            return samples
-    found = find.finding(kind, channel, mask, samples.sample, text)
-    if action == "error":
-        others = [f"--treat {kind}={a}" for a in ACTIONS[kind] if a != "error"]
-        among = f"of rows {samples.sample[0]} to {samples.sample[-1]}" if samples.reported else "in all"
-        raise LogError(f"{found.text} ({found.count} {among})", where=where,
-                       remedy=f"choose {' or '.join(others)}, or correct the file")
-    if action != "keep":
-        done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
-                "mean": "averaged", "split": "split there",
-                "use": "used for other actuators" if is_force(channel) else "dropped"}[action]
-        found = replace(found, text=f"{found.text}; {done}")
-    return replace(samples, findings=(*samples.findings, found))
+def _refuse(samples: Samples, found: Found, chosen: Mapping[str, str], where: str) -> None:
+    """Raise a LogError where the action about what was found is "error"."""
+    kind, channel, mask, text = found
+    if chosen[kind] == "error":
+        others = " or ".join(f"--treat {kind}={a}" for a in ACTIONS[kind] if a != "error")
+        said = find.finding(kind, channel, samples.sample[mask], text)
+        raise LogError(f"{said.text} ({said.count} of rows {samples.sample[0]} to {samples.sample[-1]})", where=where,
+                       remedy=f"choose {others}, or correct the file")
 
 
 def _not_a_number(samples: Samples, limits: object, where: str) -> Iterator[Found]:
@@ -284,15 +281,15 @@ def _worst(samples: Samples, limits: object, name: str, mask: Mask) -> str:
     return f"stand off their neighbours (worst at sample {samples.sample[found[np.argmax(off)]]})"
 
 
-def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[Samples, NDArray[np.int64]]:
+def _sampling(samples: Samples) -> tuple[NDArray[np.intp], list[Found]]:
+    """Places of the samples behind gaps, and what is found of the steps of the times, by places."""
     step = find.usual_step(samples.t)
     behind, uneven = find.gaps(samples.t, step), find.following(samples.t, lambda steps: (
         (steps < 0.9 * step) | (steps > 1.1 * step)) & (steps <= find.GAP * step))
+    found = list[Found]()
     if behind.size:
         longest = float(np.max(samples.t[behind] - samples.t[behind - 1]))
-        samples = _note(samples, "gap", "t", behind, f"follow a gap (longest {longest:.4g} s, usual step "
-                        f"{step:.4g} s)", chosen, where)
+        found.append(("gap", "t", behind, f"follow a gap (longest {longest:.4g} s, usual step {step:.4g} s)"))
     if uneven.size:
-        samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
-                        f"{step:.4g} s by more than 10 %", chosen, where)
-    return samples, numbered(behind if chosen["gap"] == "split" else behind[:0], samples.t.size)
+        found.append(("irregular", "t", uneven, f"come off the usual step of {step:.4g} s by more than 10 %"))
+    return behind, found

@@ -22,8 +22,13 @@ _BRACKETS = re.compile(r"(.*?\S)\s*[\[({]([^\[\](){}]*)[\])}]")
 _GAUGE = re.compile(r"\b(bar|psi)\s*\([ga]\)", re.IGNORECASE)
 _OPERATOR = re.compile(r"\s*(/|\*|\bper\b|\bpro\b)\s*", re.IGNORECASE)
 _POWER = re.compile(r"(.+?)\^?([23])")
-_RATE = re.compile(r"(.*[^\W_])_+(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", re.IGNORECASE)
-_HUMP = re.compile(r"(.*[a-z\d])((?:[A-Z]{1,2}[a-z]+))(S?)")
+_ENDS = tuple((re.compile(pattern), unit) for pattern, unit in (
+    (r"(.*?\S)[\s,;:]+(\S+\s+(?:per|pro|/)\s+\S+)", r"\2"), (r"(.*\S)[\s,;:]+(\S+)", r"\2"),
+    (r"(?i)(.*[^\W_])_+(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", r"\2/\3"),
+    (r"(.*[^\W_])_+([^\W_][^_]*|[°º˚%])", r"\2"), (r"([^/]*?\S)\s*/\s*(\S.*)", r"\2"),
+    (r"(.*[^\W_])(°|º|˚|°/s|%)", r"\2"), (r"(.*[a-z\d])([A-Z]{1,2}[a-z]+)", r"\2"),
+    (r"(.*[a-z\d])([A-Z]{1,2}[a-z]+)S", r"\2/s")))
+"""How a header may end in a unit without brackets, the longest unit first."""
 
 
 @cache
@@ -56,7 +61,7 @@ def header_of(header: str, names: Collection[str] = ()) -> Header:
         if units := units_of(found[2], found[1]):
             return Header(_bare(found[1]), found[2].strip(), units)
         return Header(header, "", ())
-    for name, text in _behind(header):
+    for name, text in ((found[1], found.expand(unit)) for end, unit in _ENDS if (found := end.fullmatch(header))):
         units = units_of(text, name, listed=True)
         if units and _folded(text) not in names and any(each.isalnum() for each in name):
             return Header(_bare(name), text, units)
@@ -125,22 +130,6 @@ def _atom(text: str, name: str, listed: bool) -> tuple[str, ...]:
     if (power := _POWER.fullmatch(text)) and (base := _atom(power[1], name, listed)):
         return tuple(f"{each}^{power[2]}" for each in base)
     return () if listed or not same_kind(text, text) else (text,)
-
-
-def _behind(header: str) -> Iterable[tuple[str, str]]:
-    """The ways in which a header may end in a unit without brackets, the longest unit first."""
-    for pattern in (r"(.*?\S)[\s,;:]+(\S+\s+(?:per|pro|/)\s+\S+)", r"(.*\S)[\s,;:]+(\S+)"):
-        if found := re.fullmatch(pattern, header):
-            yield found[1], found[2]
-    if found := _RATE.fullmatch(header):
-        yield found[1], f"{found[2]}/{found[3]}"
-    for pattern in (r"(.*[^\W_])_+([^\W_][^_]*|[°º˚%])", r"([^/]*?\S)\s*/\s*(\S.*)"):
-        if found := re.fullmatch(pattern, header):
-            yield found[1], found[2]
-    if found := re.fullmatch(r"(.*[^\W_])(°|º|˚|°/s|%)", header):
-        yield found[1], found[2]
-    if found := _HUMP.fullmatch(header):
-        yield found[1], f"{found[2]}/s" if found[3] else found[2]
 
 
 def _bare(name: str) -> str:

@@ -96,7 +96,7 @@ BROKEN = {
     "blank": (" \n\n", "empty"),
     "binary": (b"\x00\x01\x02\xff" * 100, "binary"),
     "latin garbage": (bytes(range(128, 256)) * 20, "binary"),
-    "time only": ("t [s]\n0\n1\n", "no channel"),
+    "time only": ("t [s]\n0\n1\n", "no column is a channel"),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -61,8 +61,9 @@ def _messages(reader: Any, topic: str) -> Iterator[Message]:
 
 
 def _content(topic: str, kind: str, messages: Callable[[], Sequence[Message]], first: Message, count: int) -> Content:
-    columns = [Column(_name(path, first[1]), _unit(path, first[1], kind), partial(_column, messages, path))
-               for path in _numbers(first[1])]
+    names = _get(first[1], "name")
+    columns = [Column(name, unit, partial(_column, messages, path)) for path, name, unit in _numbers(
+        first[1], UNITS.get(kind, {}), names if isinstance(names, list) else [])]
     headed = _header_stamp(first[1]) not in (None, 0)
     shown = f"the stamps {'of the headers' if headed else 'of the recorder'} of its messages"
 
@@ -94,41 +95,27 @@ def _fields(item: Any) -> Iterable[str]:
     return [key for key in getattr(item, "__dataclass_fields__", {}) if not key.startswith("_")]
 
 
-def _numbers(item: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Paths of the numbers in a message, but those of its header."""
+def _numbers(item: Any, units: Mapping[str, str], parts: Sequence[Any], path: tuple[str | int, ...] = (),
+             name: str = "", unit: str = "") -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+    """Paths, names and units of the numbers in a message, but those of its header.
+
+    Args:
+        units: of the fields, by the definition of the message; `parts`: what the elements of its fields are called,
+            as ``position[boom]``, if anything.
+        path, name, unit: those of the item.
+    """
     if isinstance(item, bool | int | float | np.number | np.bool_):
-        yield path
+        yield path, name, unit
     elif isinstance(item, np.ndarray | list | tuple):
-        if len(item) <= WIDEST and len(path) < DEPTH:
-            for k, each in enumerate(item):
-                yield from _numbers(each, (*path, k))
+        for k, each in enumerate(item) if len(item) <= WIDEST and len(path) < DEPTH else ():
+            called = parts[k] if len(path) == 1 and k < len(parts) and isinstance(parts[k], str) else k
+            yield from _numbers(each, {}, parts, (*path, k), f"{name}[{called}]", unit)
     elif len(path) < DEPTH:
+        own = UNITS.get(getattr(item, "__msgtype__", ""), {}) if path else units
         for key in _fields(item):
             if path or key != "header":
-                yield from _numbers(_get(item, key), (*path, key))
-
-
-def _name(path: Sequence[str | int], message: Any) -> str:
-    """The name of a number, as ``linear_acceleration.x`` or, where the message names its parts, ``position[boom]``."""
-    text = ""
-    names = _get(message, "name")
-    for part in path:
-        if isinstance(part, str):
-            text += f".{part}" if text else part
-        else:
-            named = isinstance(names, list) and len(path) == 2 and part < len(names) and isinstance(names[part], str)
-            text += f"[{names[part] if named else part}]"
-    return text
-
-
-def _unit(path: Sequence[str | int], message: Any, kind: str) -> str:
-    """The unit of a number by the definition of its message, or of that within it in which the number stands."""
-    unit, item = "", message
-    for part in path:
-        own = kind if item is message else getattr(item, "__msgtype__", "")
-        unit = UNITS.get(own, {}).get(str(part), unit)
-        item = _get(item, part) if isinstance(part, str) else item[part]
-    return unit
+                yield from _numbers(_get(item, key), {}, parts, (*path, key), f"{name}.{key}" if name else key,
+                                    own.get(key, unit))
 
 
 def _at(message: Any, path: Sequence[str | int]) -> float:
