@@ -68,4 +68,4 @@ def channel_table(channels: Mapping[str, NDArray[np.float64]], units: Mapping[st
         read = values[np.isfinite(values)]
         span = (figure(float(read.min())), figure(float(read.max()))) if read.size else ("", "")
         rows.append((name, in_print(units[name]), *span, str(values.size - read.size or "")))
-    return CardTable(("channel", "unit", "smallest", "largest", "missing"), rows, noun="channels")
+    return CardTable(("channel", "unit", "smallest", "largest", "missing"), rows)

@@ -60,7 +60,7 @@ class Machine(Drawn, MachineDescription):
             moved = ", ".join(each.name for each in self.drivers.get(link.name, ()))
             rows.append((link.name, joint.type, _span(joint), moved or ("passive" * joint.passive)))
         facts = {"description": self.description} if self.description else {}
-        return Card(repr(self), facts, [CardTable(("link", "joint", "range", "moved by"), rows, noun="links")])
+        return Card(repr(self), facts, [CardTable(("link", "joint", "range", "moved by"), rows)])
 
     def _mistakes(self) -> Iterator[ImpossibleError]:
         kinds = (self._names, self._references, self._tree, self._actuation, self._seen, self._masses, self._bounds)

@@ -129,4 +129,4 @@ def parameter_table(parameters: ParameterSet) -> CardTable:
     rows = [(name, figure(nominal, 6), "" if np.isnan(std) else figure(std, 3), in_print(unit),
              "" if np.isinf(low) else figure(low, 6), "" if np.isinf(high) else figure(high, 6))
             for name, nominal, std, unit, low, high in cells]
-    return CardTable(("parameter", "nominal", "prior ±", "unit", "lower bound", "upper bound"), rows, noun="parameters")
+    return CardTable(("parameter", "nominal", "prior ±", "unit", "lower bound", "upper bound"), rows)

@@ -290,8 +290,8 @@ class Answer(Drawn, ABC):
                 for data, table in self.fit.items() for channel, fit in table.items()]
         diagnostics = [(each.kind, each.text) for each in self.diagnostics]
         return Card(f"{self.verdict.title}: {self.status}", facts, [table for table in (
-            CardTable(("data", "channel", "RMS error", "VAF"), fits, noun="channels"), *self.parameters.card_tables(),
-            CardTable(("diagnostic", ""), diagnostics, shown=3, noun="diagnostics")) if table.rows])
+            CardTable(("data", "channel", "RMS error", "VAF"), fits), *self.parameters.card_tables(),
+            CardTable(("diagnostic", ""), diagnostics)) if table.rows])
 
     def to_frame(self) -> pd.DataFrame:
         """The table of parameters as a pandas DataFrame indexed by name."""

@@ -167,7 +167,7 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
         return Card(repr(self), tables=self.card_tables())
 
     def card_tables(self) -> list[CardTable]:
-        """The estimated parameters, and folded away those that are not, for a notebook."""
+        """The estimated parameters, and those that the data do not determine one by one, for a notebook."""
         known = [each for each in self.rows if each.value is not None]
         rows = [(each.name, *each.shown[:2], in_print(each.unit), " … ".join(each.shown[2:]) if each.ci95 else "",
                  "" if each.nominal is None else figure(each.nominal, 6), each.bound or "") for each in known]
@@ -175,9 +175,8 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
                    CATEGORIES.get(each.identifiability, each.identifiability))
                   for each in self.rows if each.value is None]
         return [table for table in (
-            CardTable(("parameter", "value", "±", "unit", "95 %", "machine file", "bound"), rows, noun="parameters"),
-            CardTable(("parameter", "machine file", "unit", "identifiability"), others, shown=0,
-                      noun="parameters that the data do not determine one by one")) if table.rows]
+            CardTable(("parameter", "value", "±", "unit", "95 %", "machine file", "bound"), rows),
+            CardTable(("parameter", "machine file", "unit", "identifiability"), others)) if table.rows]
 
     def to_csv(self) -> str:
         """Text of a CSV file: one row a parameter, the interval as `low` and `high`."""

@@ -6,21 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from hydroopt.errors import visible
 
 _KEPT = "\n\N{NARROW NO-BREAK SPACE}"
 
 
-@dataclass(frozen=True)
-class CardTable:
-    """Texts in rows under the names of their columns; rows beyond `shown` fold away."""
+class CardTable(NamedTuple):
+    """Texts in rows under the names of their columns."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
-    shown: int = 12
-    noun: str = "rows"
 
 
 @dataclass(frozen=True)
@@ -41,14 +38,10 @@ class Card:
         parts = [f"<strong>{_text(self.title)}</strong>"]
         if self.facts:
             parts.append(_table((), list(self.facts.items())))
-        for table in self.tables:
-            if first := table.rows[:table.shown]:
-                parts.append(_table(table.columns, first))
-            if rest := table.rows[table.shown:]:
-                more = " more" if first else ""
-                parts.append(_folded(f"{len(rest)}{more} {table.noun}", _table(table.columns, rest)))
+        parts += [_table(*table) for table in self.tables if table.rows]
         if self.text:
-            parts.append(_folded("as text", f'<pre style="overflow-x:auto">{_text(self.text)}</pre>'))
+            parts.append(f'<details><summary>as text</summary><pre style="overflow-x:auto">{_text(self.text)}</pre>'
+                         "</details>")
         return f'<div style="line-height:1.4">{"".join(parts)}</div>'
 
 
@@ -94,7 +87,7 @@ def _text(text: str) -> str:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table without columns that are empty in all its rows."""
+    """A table without columns that are empty in all its rows, which scrolls where it is long."""
     import pandas as pd  # noqa: PLC0415 (import cost)
 
     frame = pd.DataFrame([[visible(cell, keep=_KEPT) for cell in row] for row in rows],
@@ -102,8 +95,4 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     with pd.option_context("display.max_colwidth", None):
         made = frame.loc[:, frame.ne("").any().to_numpy()].to_html(
             header=bool(columns), index=False, border=0, justify="left", max_rows=len(rows))
-    return f'<div style="overflow-x:auto;text-align:left">{made}</div>'
-
-
-def _folded(name: str, content: str) -> str:
-    return f"<details><summary>{_text(name)}</summary>{content}</details>"
+    return f'<div style="overflow:auto;max-height:24em;text-align:left">{made}</div>'
