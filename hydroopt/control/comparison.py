@@ -26,7 +26,6 @@ from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
-from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, Meaning, of_kind
 from hydroopt.results.fit import Fit
@@ -144,12 +143,6 @@ class Comparison(Answer):
     reference: Array
     source: str = "the machine file"
     options: Mapping[str, Any] = field(default_factory=dict)
-
-    @cached_property
-    def sweeps(self) -> tuple[Sweep, ...]:
-        """Frequency, damping and gain of every joint over the workspace, by the nominal parameters."""
-        plant = self.setting.plant
-        return workspace_sweeps(plant, plant.model.parameters.nominal, self.setting.theta)
 
     @property
     def machine(self) -> Machine:
@@ -278,15 +271,6 @@ class Comparison(Answer):
                                          (f"{name}.filter_time", "s", gains.filter_time[i])):
                 rows.append(row(address, "gain", unit, value=float(value)))
         return ParameterTable(rows)
-
-    @property
-    def gains_of_actuators(self) -> dict[str, tuple[float, float, float, float]]:
-        """Position gain, force gain, integral time and filter time that act on each actuator; several at one joint
-        share all but the force gain."""
-        gains, axes = self.gains, Axes(self.setting.plant)
-        return {each.actuator.name: (float(gains.position[i]), float(gains.force[k]), float(gains.integral_time[i]),
-                                     float(gains.filter_time[i]))
-                for k, (i, each) in enumerate(zip(axes.of, axes.plant.actuators, strict=True))}
 
     @cached_property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

@@ -13,7 +13,7 @@ import numpy as np
 from hydroopt.control.closed_loop import Controller, Run, simulate, tip
 from hydroopt.control.linear_plant import Point, point
 from hydroopt.control.reference import Demands, Reference, steady_speeds
-from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
+from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.model.hanging import Hanging
@@ -172,11 +172,6 @@ class Setting:
     sensitivity: float = SENSITIVITY
     gain: float = 1.0
     bias: Array | None = None
-
-    @property
-    def complementary_sensitivity(self) -> float:
-        """The largest complementary sensitivity for which gains are tuned."""
-        return COMPLEMENTARY_SENSITIVITY
 
     @cached_property
     def t(self) -> Array:

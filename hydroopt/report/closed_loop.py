@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hydroopt.report import hydraulics
+from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY
 from hydroopt.report.charts import LOOKS, Chart, Curves, Plane
-from hydroopt.report.numbers import NONE, plain
+from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.panels import SMALL, Panel, Trace, charts_of, columns_of, positions, with_unit
 from hydroopt.report.samples import Recording, joined
@@ -40,24 +40,20 @@ def render(comparison: Comparison) -> str:
     shown: dict[str, list[Chart]] = {"errors": [*charts_of(errors, SMALL)], "drives": [*charts_of(drives)],
                                      "bode": [*_bode(comparison)], "nyquist": [*_nyquist(comparison)],
                                      "poles": [*_poles(comparison)], "steps": [*_steps(comparison)]}
-    if comparison.sweeps:
-        shown["hydraulics"] = [*hydraulics.charts(setting.plant, comparison.sweeps)]
     return document(
         "closed_loop.html", samples=samples, charts=shown, answer=comparison,
         scene=SceneView(setting.plant.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)),
         machine=machine, origin=comparison.source,
         truth=setting.true.text, rate=plain(setting.rate),
-        complement=plain(setting.complementary_sensitivity),
+        complement=plain(COMPLEMENTARY_SENSITIVITY),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
         rows=[_row(comparison, outcome) for outcome in comparison.outcomes],
-        gains=[(name, *(plain(value, 3) for value in values))
-               for name, values in comparison.gains_of_actuators.items()],
+        gains=[(name, unit_text(one.unit), plain(one.value, 3)) for name, one in comparison.parameters.items()],
         lost=_lost(comparison),
         passive=[joint for joint in machine.joints if machine.link(joint).joint.passive],
-        loops=[row for outcome in comparison.kinds_of_loops for row in _loops(comparison, outcome)],
-        hydraulics=hydraulics.rows(setting.plant, comparison.sweeps) if comparison.sweeps else None)
+        loops=[row for outcome in comparison.kinds_of_loops for row in _loops(comparison, outcome)])
 
 
 def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
@@ -163,7 +159,7 @@ def _bode(comparison: Comparison) -> list[Curves]:
 def _nyquist(comparison: Comparison) -> list[Plane]:
     """Nyquist curves of the same loops, with the circles that both sensitivities keep them out of."""
     made, radius = [], 1 / comparison.setting.sensitivity
-    square = comparison.setting.complementary_sensitivity**2
+    square = COMPLEMENTARY_SENSITIVITY**2
     circles = ((-1.0, 0.0, radius), (-square / (square - 1), 0.0, np.sqrt(square) / (square - 1)))
     for k, each in enumerate(comparison.setting.plant.actuators):
         curves = [(outcome, look, outcome.loops.cut[k]) for outcome, look in _shown(comparison)]

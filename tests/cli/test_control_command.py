@@ -89,11 +89,10 @@ def test_the_report_needs_nothing_else(folder: Path, content: dict) -> None:
     assert stands_alone(page)
     drawn = data_of(page)
     assert {chart["kind"] for chart in drawn["charts"]} == {"time", "curves", "plane"}
-    # errors, pressures and command, Bode, Nyquist, step, poles of the cascade and of LQG, hydraulics
-    assert len(drawn["charts"]) == 2 + 2 + 2 + 1 + 1 + 2 + 3
+    # errors, pressures and command, Bode, Nyquist, step, poles of the cascade and of LQG
+    assert len(drawn["charts"]) == 2 + 2 + 2 + 1 + 1 + 2
     assert drawn["scene"]["replayed"] == ["lift.q"]
-    assert re.findall(r"<h2>(.*?)</h2>", page)[-4:] == ["Tracking", "Loops", "Hydraulics over the workspace",
-                                                        "On the machine"]
+    assert re.findall(r"<h2>(.*?)</h2>", page)[-3:] == ["Tracking", "Loops", "On the machine"]
     for one in content["candidates"]:
         assert one["name"] in page
 
