@@ -24,7 +24,7 @@ from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study, Values, seeds
-from hydroopt.study.table import Table
+from hydroopt.study.table import Table, spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +161,8 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
     rows = []
     for k, name in enumerate((*work.names, *(f"base {name}" for name in work.base))):
         refits, value, std = table.column(name), float(work.value[k]), float(work.std[k])
-        scatter = float(np.std(refits, ddof=1)) if len(refits) > 1 else None
-        stated = std if np.isfinite(std) else None
         rows.append({"name": name.removeprefix("base "), "unit": units[k], "value": value, "cells": len(refits),
-                     "bias": float(np.mean(refits)) - value, "scatter": scatter, "stated_std": stated,
-                     "scatter_over_stated": scatter / stated if scatter is not None and stated else None})
+                     **spread(refits - value, np.array([std]))})
     return {"cells": len(table), **table.failed,
             "block_samples": {each.name: size for each, size in zip(work.machine.balances, work.blocks.tolist(),
                                                                     strict=True)},

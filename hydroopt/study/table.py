@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hydroopt.results.tables import csv_text
 from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Outcome, Values
 
@@ -64,15 +63,10 @@ class Table:
 
     def csv(self) -> str:
         """One line per cell; numbers to their last bit, an empty field where there is none."""
-        given = list(dict.fromkeys(key for cell in self.cells for key in cell))
-        found = list(dict.fromkeys(key for result in self.results for key in result))
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["cell", *given, "error", *found])
-        for k, (cell, outcome) in enumerate(zip(self.cells, self.outcomes, strict=True)):
-            result = outcome.get("result", {})
-            writer.writerow([k, *map(cell.get, given), outcome.get("error"), *map(result.get, found)])
-        return text.getvalue()
+        keys = dict.fromkeys(key for some in (["cell"], *self.cells, ["error"], *self.results) for key in some)
+        return csv_text([dict.fromkeys(keys) | {"cell": k} | cell | outcome.get("result", {})
+                         | {"error": outcome.get("error")}
+                         for k, (cell, outcome) in enumerate(zip(self.cells, self.outcomes, strict=True))])
 
 
 def spread(error: Array, std: Array) -> dict[str, float | None]:
