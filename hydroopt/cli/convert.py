@@ -46,7 +46,7 @@ def convert(
     extra: dict[str, str] = {}
     replaced: tuple[str, ...] = ()
     if cylinders or ask:
-        if robot is None or robot.rest:
+        if robot is None or robot.beside:
             raise ProblemError("cylinders replace drives of a robot file without a sidecar only", where=machine,
                                remedy="state them in the machine file or the sidecar")
         described, extra, replaced = _on_cylinders(robot, machine, cylinders, target)
@@ -62,7 +62,7 @@ def convert(
             echo(f"not in {Path(machine).name}'s machine: {lost}")
         for lost in written.lost:
             echo(f"not in {target.name}: {lost}")
-        if robot and not robot.rest:
+        if robot and not robot.beside:
             print_table(FRAMES, robot.frames)
 
 
@@ -70,7 +70,7 @@ def _on_cylinders(robot: RobotFile, machine: str, file: Path | None,
                   target: Path) -> tuple[Machine, dict[str, str], tuple[str, ...]]:
     """The machine on the cylinders of a file and of those asked for, the latter as a file to be written, and what is
     lost of the drives that they replace."""
-    from hydroopt.machine.machine_file import dump_tables
+    from hydroopt.machine.file_tables import dump_tables
     from hydroopt.machine.robot_formats.cylinder_drives import with_cylinders
     from hydroopt.support.input_file import read_text, toml
 

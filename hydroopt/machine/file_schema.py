@@ -146,58 +146,39 @@ class MachineFile(Parts):
     """The set that is chosen without `--set`."""
 
 
-def validate(tables: Mapping[str, Any], where: str, *, whole: bool = True) -> dict[str, Any]:
+def validate(tables: Mapping[str, Any], where: str) -> None:
     """Validate the tables of a machine file, each of them, used or not.
 
     Args:
         tables: as TOML has them, links with their parents.
         where: the file, for errors.
-        whole: whether they state a machine; if not, as those of a sidecar, keys may be missing, and what is stated of a
-            number may stand without its value.
-
-    Returns:
-        The same tables with plain values, see `without_notes`.
 
     Raises:
         MachineError: names the first key that breaks the schema, and the remedy.
     """
     plain: dict[str, Any] = {}
     try:
-        plain = without_notes(tables, whole=whole)[0]
+        plain = without_notes(tables)[0]
         _refuse_noted_words(tables, MachineFile.model_validate(plain, context={"from_file": True}), "")
     except ValidationError as error:
-        mistakes = [each for each in error.errors() if whole or not _of_a_part(each)]
-        if mistakes:
-            what, place, remedy = in_plain_words(mistakes, plain)
-            raise MachineError(what, where=f"{where}: {place}" if place else where, remedy=remedy) from None
+        what, place, remedy = in_plain_words(error.errors(), plain)
+        raise MachineError(what, where=f"{where}: {place}" if place else where, remedy=remedy) from None
     except (UnitError, ImpossibleError) as error:
         place = error.where if isinstance(error, UnitError) else error.key
         raise MachineError(error.what, where=f"{where}: {place}" if place else where, remedy=error.remedy) from None
-    return plain
 
 
-def _of_a_part(mistake: Mapping[str, Any]) -> bool:
-    """Whether what is wrong of a part may be right of the whole: something is missing, or a rule over several keys."""
-    kind, key = mistake["type"], mistake["loc"][-1]
-    return (kind == "missing" and isinstance(key, str) and key != "name") or kind == "too_short" or (
-        kind == "value_error" and isinstance(mistake["input"], Mapping))
-
-
-def without_notes(tables: Mapping[str, Any], *, whole: bool = True) -> tuple[dict[str, Any], dict[str, Note]]:
-    """The same tables with plain values, and what they state of numbers by dotted path.
-
-    Args:
-        tables: of a machine file.
-        whole: whether every number has its value; if not, statements without it are left out.
+def without_notes(tables: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Note]]:
+    """The same tables of a machine file with plain values, and what they state of numbers by dotted path.
 
     Raises:
         ImpossibleError, UnitError: of a statement, with its place.
     """
     notes: dict[str, Note] = {}
-    return _plain(tables, "", "", notes, whole), notes
+    return _plain(tables, "", "", notes), notes
 
 
-def _plain(node: Any, path: str, place: str, notes: dict[str, Note], whole: bool) -> Any:
+def _plain(node: Any, path: str, place: str, notes: dict[str, Note]) -> Any:
     """The node without notes, which stands at `place` of the file and at `path` of the machine."""
     if isinstance(node, dict) and {"name", "value"} <= node.keys() and not isinstance(node["value"], dict):
         said = {key: node[key] for key in sorted(NOTE_KEYS & node.keys())}  # a part whose one number it is
@@ -206,13 +187,13 @@ def _plain(node: Any, path: str, place: str, notes: dict[str, Note], whole: bool
         notes[path] = _note(node, place)
         return node["value"]
     if isinstance(node, dict):
-        return {key: _plain(value, f"{path}.{key}".lstrip("."), f"{place}.{key}".lstrip("."), notes, whole)
-                for key, value in node.items() if whole or not without_value(value)}
+        return {key: _plain(value, f"{path}.{key}".lstrip("."), f"{place}.{key}".lstrip("."), notes)
+                for key, value in node.items()}
     if isinstance(node, list):
         # parts are addressed by their names, which are unique over the machine
         names = [item["name"] if isinstance(item, dict) and "name" in item else None for item in node]
         return [_plain(item, f"{path}.{k}" if name is None else str(name),
-                       f"{place}[{k if name is None else name}]", notes, whole)
+                       f"{place}[{k if name is None else name}]", notes)
                 for k, (name, item) in enumerate(zip(names, node, strict=True))]
     return node
 
@@ -237,11 +218,6 @@ def _refuse_noted_words(stated: Any, read: Any, place: str) -> None:
 
 def _of_numbers(read: Any) -> bool:
     return bool(read) and all(map(_of_numbers, read)) if isinstance(read, tuple) else isinstance(read, int | float)
-
-
-def without_value(stated: Any) -> bool:
-    """Whether a table states what is known of a number, but not its value, as in a sidecar."""
-    return isinstance(stated, dict) and bool(stated) and "value" not in stated and stated.keys() <= NOTE_KEYS
 
 
 def _note(node: Mapping[str, Any], place: str) -> Note:

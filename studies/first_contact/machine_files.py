@@ -27,7 +27,8 @@ import tomli_w
 
 from hydroopt.errors import LONGEST, HydrooptError, MachineError
 from hydroopt.machine.bundled_files import bundled_files
-from hydroopt.machine.machine_file import build_machine, load_machine
+from hydroopt.machine.file_tables import build_machine
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.robot_formats.writing import robot_files
 from hydroopt.support.input_file import refuse_absurd
 

@@ -21,8 +21,7 @@ def test_there_and_back(tmp_path):
     assert f"{file}, {tmp_path / 'cat.sidecar.toml'}" in said
     assert "not in cat.urdf: the rod of 'boom_cylinder' hangs on no pin" in said
     assert convert(file, back, "--quiet").output == ""
-    assert load_machine(back).cylinders[0].model_dump(exclude={"barrel", "rod"}) == load_machine(
-        "cat215b").cylinders[0].model_dump(exclude={"barrel", "rod"})
+    assert load_machine(back) == load_machine("cat215b")
 
 
 def test_the_chain_to_a_tip(tmp_path):

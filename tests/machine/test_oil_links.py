@@ -11,9 +11,10 @@ import pytest
 from scipy.optimize import brentq
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.file_tables import build_machine
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import build_machine, load_machine, read_machine
+from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.model import Model
 

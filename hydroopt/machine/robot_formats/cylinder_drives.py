@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.file_tables import build_machine
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import build_machine
 from hydroopt.machine.range_checks import over_range
 from hydroopt.machine.robot_formats.reading import RobotFile
 from hydroopt.support.input_file import similar

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import RIGHT
+from hydroopt.spatial.poses import rotation_x, rotation_y, rotation_z
 
 ORIGIN = (0.0, 0.0, 0.0)
 _NEARLY_PARALLEL = math.sin(math.radians(2))
@@ -36,13 +36,7 @@ def inverse(of: Array) -> Array:
 
 def turn(about: int, angle: float) -> Array:
     """Rotation matrix (3, 3) about x, y or z by an angle [rad]; right angles are exact."""
-    c, s = math.cos(angle), math.sin(angle)
-    if min(abs(c), abs(s)) < RIGHT:
-        c, s = float(round(c)), float(round(s))
-    i, j = (about + 1) % 3, (about + 2) % 3
-    matrix = np.eye(3)
-    matrix[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
-    return matrix
+    return np.asarray((rotation_x, rotation_y, rotation_z)[about](float(angle)))
 
 
 def from_roll_pitch_yaw(angles: Sequence[float] | Array) -> Array:

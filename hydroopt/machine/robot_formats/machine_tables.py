@@ -28,17 +28,15 @@ from hydroopt.machine.robot_formats.frames import (
     inverse,
     onto,
     reaching,
-    shift,
     tidy,
 )
-from hydroopt.machine.robot_formats.sidecar import Sidecar
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, TreePin, like
 from hydroopt.spatial.inertia import Array
 from hydroopt.units import SMALLEST
 
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
 _APART = 1e-9
-"""How far [m, rad] a joint may lie beside the axis that a sidecar gives it, or an axis of a loop beside its plane."""
+"""How far [m, rad] an axis of a loop may lie beside its plane."""
 
 
 class Placed(NamedTuple):
@@ -62,7 +60,7 @@ class Tables(NamedTuple):
     lost: tuple[str, ...]
 
 
-def machine_tables(tree: RobotTree, *, tip: str | None = None, sidecar: Sidecar | None = None) -> Tables:
+def machine_tables(tree: RobotTree, *, tip: str | None = None) -> Tables:
     """Tables of a robot's links, drives and couplings.
 
     The base is the root link, its z points up; a locked link leads to an axis that does not lie on the z of what
@@ -74,22 +72,19 @@ def machine_tables(tree: RobotTree, *, tip: str | None = None, sidecar: Sidecar 
         tree: the robot.
         tip: the link at the end of the one chain to read; the last far end lies in its origin. Joints that are not on
             the way from the root to it stand at zero, with what they carry.
-        sidecar: what the robot file cannot say; it states the frames of links.
 
     Raises:
-        MachineError: there is no such tip, nothing moves, limits are missing or contradictory, or the sidecar does not
-            fit the robot.
+        MachineError: there is no such tip, nothing moves, or limits are missing or contradictory.
     """
     if tip is not None and tip not in tree.masses:
         raise MachineError(f"there is no link '{tip}'", where=tree.file, remedy=f"use {like(tip, tree.masses)}")
-    return _Conversion(tree, tip, sidecar or Sidecar()).tables()
+    return _Conversion(tree, tip).tables()
 
 
 class _Conversion:
-    def __init__(self, tree: RobotTree, tip: str | None, sidecar: Sidecar) -> None:
-        self.tree, self.tip, self.sidecar = tree, tip, sidecar
-        on_way = tree.joints.values() if tip is None else tree.way(tip)
-        candidates = [joint for joint in on_way if joint.name.partition(".")[0] not in sidecar.cylinders]
+    def __init__(self, tree: RobotTree, tip: str | None) -> None:
+        self.tree, self.tip = tree, tip
+        candidates = [*tree.joints.values()] if tip is None else tree.way(tip)
         self.moving = {joint.name for joint in candidates if joint.kind != "fixed" and joint.mimic is None}
         if not self.moving:
             raise MachineError("no joint moves" + (f" between '{tree.root}' and '{tip}'" if tip else ""),
@@ -99,9 +94,7 @@ class _Conversion:
         while more := [joint for joint in followers if joint.mimic and joint.mimic.master in self.moving
                        and joint.name not in self.moving]:
             self.moving |= {joint.name for joint in more}
-        self.own = self.moving | {joint.name for joint in candidates
-                                  if joint.kind == "fixed" and joint.name in sidecar.locked}
-        self.looped = set() if tip or sidecar.stated else {
+        self.looped = set() if tip else {
             joint.name for pin in tree.pins for joint in around(tree, pin) if not joint.driven and joint.mimic is None}
         self.held = [joint for joint in followers if joint.name not in self.moving]
         self.names: dict[str, str] = {_NONE: BASE}
@@ -111,13 +104,10 @@ class _Conversion:
 
     def tables(self) -> Tables:
         self._place()
-        if self.sidecar.stated:
-            order = list(self.sidecar.frames)
-            self.axes = dict(sorted(self.axes.items(), key=lambda item: order.index(item[0]) if item[0] in order
-                                    else len(order)))
         links: list[dict[str, Any]] = []
         self.starts, self.ends = {_NONE: np.eye(4)}, {_NONE: Numbers(0.0, 0.0)}
         self.used: set[str] = set()  # whose far end leads to a joint already
+        self.joints = [self.tree.joints[name] for name in self.axes]
         for name in self.axes:
             self.names[name] = _named(name, self.taken)
         for name in self.axes:
@@ -126,43 +116,31 @@ class _Conversion:
         held = ", ".join(joint.name for joint in self.held)
         description = (f"from {Path(tree.file).name}, '{tree.root}'" + (f" to '{tip}'" if tip else "")
                        + (f"; held: {held}" if held else ""))
-        tables: dict[str, Any] = {"name": _named(tree.name, set(), "machine"), "links": links}
-        if not self.sidecar.stated:
-            tables["description"] = description
+        tables: dict[str, Any] = {"name": _named(tree.name, set(), "machine"), "links": links,
+                                  "description": description}
         if tree.gravity is not None:
             tables["gravity"] = _quantity(tree.gravity, "m/s^2")
-        tables |= {key: parts for key, parts in (("drives", self._drives()), ("couplings", self._couplings()),
-                                                 ("cylinders", self._cylinders())) if parts}
+        tables |= {key: parts for key, parts in (("drives", self._drives()), ("couplings", self._couplings())) if parts}
         inside = {link: Placed(self.names[at.carrier], inverse(self.ends[at.carrier].near_end()) @ at.pose)
                   for link, at in self.poses.items()}
-        if tree.pins and not tip and not self.sidecar.stated:
+        if tree.pins and not tip:
             tables["loops"] = stated_loops(tree, tables, self.names, inside, self.axes)
         still = [link for link, at in self.poses.items() if at.carrier == _NONE and tree.masses[link] is not None]
         lost = [*tree.lost, *(f"the loop '{pin.name}' is open" for pin in tree.pins if tip)]
         lost += [f"the mass of {', '.join(still)} is left out: it stands still"] if still else []
         lost += [f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
                  for joint in self.held if joint.mimic]
-        lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self._each()
-                 if joint.rotor_inertia and joint.mimic is None and not self._driven(joint)]
+        lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self.joints
+                 if joint.rotor_inertia and joint.mimic is None and not _driven(joint)]
         return Tables(tables, inside, tuple(lost))
-
-    def _each(self) -> list[TreeJoint]:
-        return [self.tree.joints[name] for name in self.axes if name in self.moving]
-
-    def _driven(self, joint: TreeJoint) -> bool:
-        if self.sidecar.stated:
-            return self.names[joint.name] in self.sidecar.drives
-        return joint.driven and joint.mimic is None
 
     def _place(self) -> None:
         """Of each link, and of each moving joint's frame at rest, what carries it."""
         for joint in self.tree.joints.values():
-            if joint.parent not in self.poses or joint.name.partition(".")[0] in self.sidecar.cylinders:
-                continue
             carrier, at = self.poses[joint.parent]
             turned = frame_about(joint.axis)
             at = at @ joint.origin @ turned
-            if joint.name in self.own:
+            if joint.name in self.moving:
                 self.axes[joint.name] = Placed(carrier, at)
                 self.poses[joint.child] = Placed(joint.name, turned.T)
             else:
@@ -181,13 +159,8 @@ class _Conversion:
         joint, (carrier, axis), own = self.tree.joints[name], self.axes[name], self.names[name]
         made: list[dict[str, Any]] = []
         link: dict[str, Any] = {"name": own, "parent": self.names[carrier]}
-        if carrier not in self.starts:
-            raise MachineError(f"'{own}' comes before the link that carries it", remedy="list every parent first",
-                               where=f"{self.sidecar.file}: links[{own}]")
         start = self.starts[carrier]
-        if own in self.sidecar.pins:
-            start = self.ends[carrier].near_end() @ shift(self.sidecar.pins[own])
-        elif not self.sidecar.stated and (carrier == _NONE or carrier in self.used):
+        if carrier == _NONE or carrier in self.used:
             near = self.ends[carrier].near_end()
             lead = onto(inverse(near) @ axis)
             if carrier != _NONE or any(lead[2:]):
@@ -199,19 +172,13 @@ class _Conversion:
         self.used.add(carrier)
         children = [child for child, at in self.axes.items() if at.carrier == name]
         moved = {each: at.pose for each, at in self.poses.items() if at.carrier == name}
-        end = self.sidecar.frames.get(own)
-        if end is None:
-            end = (onto(self.axes[children[0]].pose) if children and not self.sidecar.stated else
-                   reaching(moved[self.tip if self.tip in moved else list(moved)[-1]][:3, 3]))
+        end = onto(self.axes[children[0]].pose) if children else reaching(
+            moved[self.tip if self.tip in moved else list(moved)[-1]][:3, 3])
         self.starts[name], self.ends[name] = end.far_end(), end
         rest = inverse(start) @ axis  # d and θ lead to the joint's frame first, then on to the end
-        if max(math.hypot(*rest[:2, 3]), math.hypot(*rest[:2, 2])) > _APART or rest[2, 2] < 0:
-            raise MachineError("its axis is not where the sidecar has the end of the link before",
-                               where=f"{self.tree.file}: joint '{name}'",
-                               remedy=f"undo the change, correct links[{own}] in {self.sidecar.file}, or remove that")
         link["joint"] = self._joint(joint) | _denavit_hartenberg(Numbers(
             tidy(rest[2, 3] + end.d), tidy(math.remainder(math.atan2(rest[1, 0], rest[0, 0]) + end.theta, math.tau)),
-            end.a, end.alpha, end.beta), complete=self.sidecar.stated)
+            end.a, end.alpha, end.beta))
         to_body = inverse(end.near_end())
         masses = [to_body @ at @ mass @ at.T @ to_body.T for each, at in moved.items()
                   if (mass := self.tree.masses[each]) is not None]
@@ -221,22 +188,18 @@ class _Conversion:
 
     def _joint(self, joint: TreeJoint) -> dict[str, Any]:
         """Type, limits and friction of a joint; of a driven one the friction is the drive's."""
-        if joint.name not in self.moving:
-            return {"type": "locked"}
         unit = "m" if joint.kind == "prismatic" else "rad"
         found: dict[str, Any] = {"type": joint.kind}
-        own = self.names[joint.name]
-        if (joint.mimic is not None and not self.sidecar.stated) or (
-                own in self.sidecar.dependent or joint.name in self.looped):
+        if joint.mimic is not None or joint.name in self.looped:
             found["dependent"] = True
         else:
             found |= dict(zip(("lower", "upper"), (_quantity(value, unit) for value in self._limits(joint)),
                               strict=True))
             if joint.max_speed is not None:
                 found["max_speed"] = _quantity(joint.max_speed, f"{unit}/s")
-            if not joint.driven and not self.sidecar.stated:
+            if not joint.driven:
                 found["passive"] = True
-        if not self._driven(joint) and own not in self.sidecar.motors and (friction := _friction(joint)):
+        if not _driven(joint) and (friction := _friction(joint)):
             found["friction"] = friction
         if joint.spring is not None and joint.spring.stiffness:
             effort = "N" if unit == "m" else "N*m"
@@ -257,20 +220,18 @@ class _Conversion:
 
     def _drives(self) -> list[dict[str, Any]]:
         found = []
-        for joint in self._each():
-            if not self._driven(joint):
+        for joint in self.joints:
+            if not _driven(joint):
                 continue
-            own = self.names[joint.name]
-            slides = joint.kind == "prismatic"
-            drive: dict[str, Any] = {"name": self.sidecar.drives.get(own) or _named(f"{own}_drive", self.taken),
-                                     "joint": own}
+            own, slides = self.names[joint.name], joint.kind == "prismatic"
+            drive: dict[str, Any] = {"name": _named(f"{own}_drive", self.taken), "joint": own}
             if joint.gear != 1.0:
                 drive["gear"] = joint.gear
             if joint.max_effort is not None:
                 drive["max_torque"] = _quantity(joint.max_effort, "N" if slides else "N*m")
             if rotor := self._rotors(joint):
                 drive["rotor_inertia"] = _quantity(rotor / joint.gear**2, "kg*m^2")
-            if own not in self.sidecar.rubbing and (friction := _friction(joint)):
+            if friction := _friction(joint):
                 drive["friction"] = friction
             found.append(drive)
         return found
@@ -278,39 +239,26 @@ class _Conversion:
     def _rotors(self, joint: TreeJoint) -> float:
         """Inertia of a joint's rotor, and of those of the joints that mimic it, as the joint feels them."""
         own = joint.rotor_inertia * joint.gear**2
-        return own + sum(each.mimic.ratio**2 * self._rotors(each) for each in self._each()
+        return own + sum(each.mimic.ratio**2 * self._rotors(each) for each in self.joints
                          if each.mimic is not None and each.mimic.master == joint.name)
 
     def _couplings(self) -> list[dict[str, Any]]:
         found = []
-        for joint in self._each():
-            if joint.mimic is None or (self.sidecar.stated and self.names[joint.name] not in self.sidecar.couplings):
+        for joint in self.joints:
+            if joint.mimic is None:
                 continue
             own, master = self.tree.joints[joint.name], self.tree.joints[joint.mimic.master]
             unit, other = ("m" if each.kind == "prismatic" else "rad" for each in (own, master))
             name = self.names[joint.name]
             ratio = _quantity(joint.mimic.ratio, f"{unit}/{other}") if unit != other else joint.mimic.ratio
-            found.append({"name": self.sidecar.couplings.get(name) or _named(f"{name}_coupling", self.taken),
-                          "joint": name, "ratios": {self.names[master.name]: ratio},
-                          "offset": _quantity(joint.mimic.offset, unit)})
+            found.append({"name": _named(f"{name}_coupling", self.taken), "joint": name,
+                          "ratios": {self.names[master.name]: ratio}, "offset": _quantity(joint.mimic.offset, unit)})
         return found
 
-    def _cylinders(self) -> list[dict[str, Any]]:
-        """Bodies of barrels and rods that the sidecar's cylinders have in the robot file."""
-        found = []
-        for name, pin in self.sidecar.cylinders.items():
-            for turning in (f"{name}.barrel_turn", f"{name}.barrel"):
-                first = self.tree.joints.get(turning)
-                if first is not None and first.parent in self.poses and max(abs(first.origin[:3, 3] - pin)) > _APART:
-                    raise MachineError("the barrel's pin is not where the sidecar has it",
-                                       where=f"{self.tree.file}: joint '{turning}'",
-                                       remedy=f"move it in cylinders[{name}].barrel.pin of {self.sidecar.file} as well")
-            ends: dict[str, dict[str, Any]] = {}
-            for end in ("barrel", "rod"):
-                if (mass := self.tree.masses.get(f"{name}.{end}")) is not None:
-                    ends[end] = {"body": _body(mass)}
-            found += [{"name": name} | ends] if ends else []
-        return found
+
+def _driven(joint: TreeJoint) -> bool:
+    """Whether a drive of its own moves it."""
+    return joint.driven and joint.mimic is None
 
 
 def _friction(joint: TreeJoint) -> dict[str, str]:
@@ -320,10 +268,9 @@ def _friction(joint: TreeJoint) -> dict[str, str]:
     return {key: _quantity(value, unit) for key, (value, unit) in stated.items() if value}
 
 
-def _denavit_hartenberg(numbers: Numbers, *, complete: bool = False) -> dict[str, str]:
+def _denavit_hartenberg(numbers: Numbers) -> dict[str, str]:
     units: Mapping[str, str] = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
-    return {key: _quantity(value, unit) for key, unit in units.items()
-            if (value := getattr(numbers, key)) or complete}
+    return {key: _quantity(value, unit) for key, unit in units.items() if (value := getattr(numbers, key))}
 
 
 def _quantity(value: float, unit: str) -> str:

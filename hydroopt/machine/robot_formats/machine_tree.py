@@ -18,10 +18,11 @@ from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.range_checks import over, sampled
-from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, inverse, pose, shift, turn
+from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, inverse, pose, turn
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import Pose
 
 WORLD = "machine.world"
 """Link that carries a machine's tilted base."""
@@ -51,11 +52,10 @@ def machine_tree(machine: Machine, *, floating: bool = False) -> RobotTree:
 
 class _Tree:
     def __init__(self, machine: Machine, floating: bool) -> None:
-        self.machine, self.floating = machine, floating
+        self.machine, self.floating, self.geometry = machine, floating, Geometry(machine)
         self.masses: dict[str, Array | None] = {}
         self.joints: list[TreeJoint] = []
         self.pins: list[TreePin] = []
-        self.ends: dict[str, Array] = {BASE: np.eye(4)}
         self.posture = posture(machine)
 
     def tree(self) -> RobotTree:
@@ -70,11 +70,11 @@ class _Tree:
             self._link(link)
         tip = "tip" if "tip" not in self.masses else "machine.tip"  # no name of a machine's part has a dot
         self.joints.append(TreeJoint(name=tip, kind="fixed", parent=machine.tip, child=tip,
-                                     origin=self.ends[machine.tip]))
+                                     origin=_matrix(self.geometry.far_end(machine.tip))))
         self.masses[tip] = None
         for loop in machine.loops:
-            own = self.ends[loop.link][:3, 3] if loop.pin is None else np.array(loop.pin)
-            self.pins.append(TreePin(loop.name, (loop.link, loop.to.link), (own, np.array(loop.to.pin)), loop.length))
+            own, other = (np.asarray(ca.DM(end)).ravel() for end in self.geometry.loop_ends(loop))
+            self.pins.append(TreePin(loop.name, (loop.link, loop.to.link), (own, other), loop.length))
         for cylinder in machine.cylinders:
             self._cylinder(cylinder)
         joints = {joint.name: joint for joint in self.joints}
@@ -82,15 +82,12 @@ class _Tree:
                          {joint.child: joint for joint in joints.values()}, tuple(self.pins), self.posture,
                          gravity=machine.gravity)
 
-    def _seat(self, link: Link) -> Array:
-        return self.ends[link.parent] if link.pin is None else shift(link.pin)
-
     def _link(self, link: Link) -> None:
         j = link.joint
-        self.ends[link.name] = pose(turn(0, j.alpha) @ turn(1, j.beta), (j.a, 0, 0))
         self.masses[link.name] = _mass(link.body)
         made = TreeJoint(name=link.name, kind="fixed" if j.type == "locked" else j.type, parent=link.parent,
-                         child=link.name, origin=self._seat(link) @ pose(turn(2, j.theta), (0, 0, j.d)))
+                         child=link.name,
+                         origin=_matrix(self.geometry.seat(link.name) @ self.geometry.joint(link.name, 0.0)))
         if j.moving:
             made = self._moving(link, made)
         self.joints.append(made)
@@ -131,7 +128,7 @@ class _Tree:
 
     def _cylinder(self, cylinder: Cylinder) -> None:
         axis = self.machine.link(self.machine.axis_of(cylinder))
-        frame = self._seat(axis)
+        frame = _matrix(self.geometry.seat(axis.name))
         if axis.joint.type == "prismatic":  # a cylinder may lie along the axis: then the x axis takes its place
             frame = frame @ pose(turn(2, axis.joint.theta) @ np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
         carrier, name = cylinder.barrel.link, f"{cylinder.name}.barrel"
@@ -200,16 +197,14 @@ def mimicking(machine: Machine) -> dict[str, Coupling]:
 
 def link_poses(machine: Machine, q: Mapping[str, float]) -> dict[str, Array]:
     """Frames P (4, 4) of all links in the base frame at positions of the tree's joints; those left out are zero."""
-    places: dict[str, Array] = {BASE: np.eye(4)}
-    ends = dict(places)
-    for link in machine.links:
-        j, value = link.joint, q.get(link.name, 0.0) if link.joint.moving else 0.0
-        slides = j.type == "prismatic"
-        seat = ends[link.parent] if link.pin is None else places[link.parent] @ shift(link.pin)
-        places[link.name] = seat @ pose(turn(2, j.theta + (0.0 if slides else value)),
-                                        (0, 0, j.d + (value if slides else 0.0)))
-        ends[link.name] = places[link.name] @ pose(turn(0, j.alpha) @ turn(1, j.beta), (j.a, 0, 0))
-    return places
+    geometry, moving = Geometry(machine), {joint: q.get(joint, 0.0) for joint in machine.tree_joints}
+    return {link: _matrix(geometry.relative_pose(BASE, link, moving))
+            for link in (BASE, *(each.name for each in machine.links))}
+
+
+def _matrix(found: Pose) -> Array:
+    """A pose in numbers as a homogeneous matrix (4, 4)."""
+    return pose(np.asarray(found.rotation), np.asarray(found.origin).ravel())
 
 
 def posture(machine: Machine) -> dict[str, float]:

@@ -12,7 +12,7 @@ from hydroopt.machine.machine import BASE
 from hydroopt.machine.robot_formats.frames import inverse, roll_pitch_yaw, tidy
 from hydroopt.machine.robot_formats.machine_tables import Placed, machine_tables
 from hydroopt.machine.robot_formats.mjcf_in import read_mjcf
-from hydroopt.machine.robot_formats.sidecar import read_sidecar
+from hydroopt.machine.robot_formats.sidecar import beside, with_sidecar
 from hydroopt.machine.robot_formats.xml_in import read_sdf, read_urdf
 
 READERS = {".urdf": read_urdf, ".xml": read_mjcf, ".sdf": read_sdf, ".xacro": read_urdf}
@@ -29,16 +29,16 @@ class RobotFile(NamedTuple):
     """What a robot file and its sidecar say.
 
     Attributes:
-        tables: a machine file's, from the robot file.
-        rest: those of the sidecar, which are merged over them.
+        tables: a machine file's.
         lost: what the robot file says and a machine file cannot, in sentences.
         links: each link of the robot with the machine's link that it is part of, and its pose in that link's frame P.
+        beside: whether there is a sidecar, from which the tables are.
     """
 
     tables: dict[str, Any]
-    rest: dict[str, Any]
     lost: tuple[str, ...]
     links: dict[str, Placed]
+    beside: bool = False
 
     @property
     def frames(self) -> list[dict[str, str | float]]:
@@ -61,13 +61,13 @@ def read_robot(path: str | Path, *, tip: str | None = None) -> RobotFile:
     Raises:
         MachineError: the file is missing, malformed, incomplete or contradictory.
     """
-    tree = READERS[Path(path).suffix](path)
-    sidecar = read_sidecar(path)
-    if sidecar is None:
+    tree, file = READERS[Path(path).suffix](path), beside(path)
+    if not file.exists():
         made = machine_tables(tree, tip=tip)
-        return RobotFile(made.tables, {}, made.lost, made.links)
+        return RobotFile(made.tables, made.lost, made.links)
     if tip is not None:
         raise MachineError("a tip cannot be named of a robot with a sidecar", where=str(path),
-                           remedy=f"leave it out, or move {sidecar.file} away")
-    made = machine_tables(tree.rooted_at(BASE) if BASE in tree.masses else tree, sidecar=sidecar)
-    return RobotFile(made.tables, sidecar.tables, made.lost, made.links)
+                           remedy=f"leave it out, or move {file} away")
+    tables = with_sidecar(tree, file)
+    links = {name: Placed(name, np.eye(4)) for name in (BASE, *(link["name"] for link in tables["links"]))}
+    return RobotFile(tables, tree.lost, links, beside=True)

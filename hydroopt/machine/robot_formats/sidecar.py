@@ -1,102 +1,130 @@
-"""What a robot file cannot say of a machine: a machine file's tables beside it, read with it."""
+"""The machine file beside a robot file, which says what that one cannot; what both say counts as the robot file has it.
+
+A robot file that was changed differs from the one that would be written of the machine file beside it. These
+differences are put into the machine file's tables.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.file_schema import validate
-from hydroopt.machine.robot_formats.frames import Numbers
+from hydroopt.machine.actuators import Drive, Motor
+from hydroopt.machine.file_tables import build_machine, machine_file_tables
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.robot_formats.frames import central, inverse
+from hydroopt.machine.robot_formats.machine_tree import machine_tree, mimicking
+from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.input_file import read_text, toml
-from hydroopt.units import to_si
 
-SUFFIX = ".sidecar.toml"
-
-
-@dataclass(frozen=True)
-class Sidecar:
-    """Tables that are merged over those of a robot file, and what of them tells how to read it.
-
-    Attributes:
-        file: its name, empty where there is none.
-        tables: a machine file's, without what the robot file says.
-        frames: far ends of links in their frames P, which are the robot links' frames.
-        pins: where joints sit that do not sit at their parent's far end.
-        locked, dependent: links whose joints are so.
-        drives, couplings: names by joint; of couplings, those that a joint of the robot file states by what it mimics.
-        rubbing: links whose joint and drive both have friction; the robot file has the sum, the sidecar the parts.
-        motors: joints that motors drive, which state the friction there.
-        cylinders: the barrel's pin by name; barrels and rods are links of the robot file.
-    """
-
-    file: str = ""
-    tables: dict[str, Any] = field(default_factory=dict)
-    frames: dict[str, Numbers] = field(default_factory=dict)
-    pins: dict[str, Array] = field(default_factory=dict)
-    locked: frozenset[str] = frozenset()
-    dependent: frozenset[str] = frozenset()
-    drives: dict[str, str] = field(default_factory=dict)
-    couplings: dict[str, str] = field(default_factory=dict)
-    rubbing: frozenset[str] = frozenset()
-    motors: frozenset[str] = frozenset()
-    cylinders: dict[str, Array] = field(default_factory=dict)
-
-    @property
-    def stated(self) -> bool:
-        """Whether there is one."""
-        return bool(self.file)
+CHANGED = 1e-9
+"""By how much [m or rad, or relative] numbers of the two files differ where one of them was changed."""
 
 
 def beside(path: str | Path) -> Path:
     """Where the sidecar of a robot file is."""
-    return Path(path).with_suffix(SUFFIX)
+    return Path(path).with_suffix(".sidecar.toml")
 
 
-def read_sidecar(path: str | Path) -> Sidecar | None:
-    """The sidecar beside a robot file; None where there is none.
+def with_sidecar(tree: RobotTree, file: Path) -> dict[str, Any]:
+    """Tables of the machine file beside a robot file, with what the robot file says otherwise in their place.
+
+    From the robot file are bodies, places of joints along and about their axes, limits, friction, drives and what
+    mimics what. Of friction that a joint and its actuator have together, the actuator's changes.
 
     Raises:
-        MachineError: it is no TOML, or states what no machine file may.
+        MachineError: the sidecar is no machine file, or the robot file does not fit it.
     """
-    file = beside(path)
-    if not file.exists():
-        return None
-    where = str(file)
-    tables = toml(read_text(file, MachineError, noun="sidecar"), MachineError, where=where)
-    plain = validate(tables, where, whole=False)
-    links, drives, couplings, motors, cylinders = (
-        {part["name"]: part for part in plain.get(kind, [])}
-        for kind in ("links", "drives", "couplings", "motors", "cylinders"))
-    joints = {name: link.get("joint", {}) for name, link in links.items()}
-    for name, cylinder in cylinders.items():
-        if "pin" not in cylinder.get("barrel", {}):
-            raise MachineError("this key is missing", where=f"{where}: cylinders[{name}].barrel.pin", remedy="add it")
-    return Sidecar(
-        where, tables,
-        frames={name: Numbers(0.0, 0.0, *(to_si(joint.get(key, f"0 {unit}"), unit, where=key)
-                                          for key, unit in (("a", "m"), ("alpha", "rad"), ("beta", "rad"))))
-                for name, joint in joints.items()},
-        pins={name: _point(link["pin"]) for name, link in links.items() if "pin" in link},
-        locked=frozenset(name for name, joint in joints.items() if joint.get("type") == "locked"),
-        dependent=frozenset(name for name, joint in joints.items() if joint.get("dependent")),
-        drives={drive.get("joint", ""): name for name, drive in drives.items()},
-        couplings={each.get("joint", ""): name for name, each in couplings.items() if "ratios" not in each},
-        rubbing=frozenset(name for name, joint in joints.items()
-                          if not all(map(is_zero, joint.get("friction", {}).values()))),
-        motors=frozenset(each.get("joint", "") for each in motors.values()),
-        cylinders={name: _point(each["barrel"]["pin"]) for name, each in cylinders.items()})
+    text = read_text(file, MachineError, noun="sidecar")
+    machine = build_machine(toml(text, MachineError, where=str(file)), str(file))
+    own, made = machine_tree(machine, floating=tree.gravity is not None), machine_file_tables(machine)
+    parts = {part["name"]: part for kind in ("links", "cylinders", "motors", "drives", "couplings")
+             for part in made.get(kind, [])}
+    alone = [*(own.joints.keys() - tree.joints.keys()),
+             *(name for name, joint in tree.joints.items() if name not in own.joints and joint.kind != "fixed"),
+             *(name for name, mass in tree.masses.items() if name not in own.masses and mass is not None)]
+    if alone:
+        raise MachineError(f"'{alone[0]}' is either not in it or not in its sidecar", where=tree.file,
+                           remedy=f"state it in both, or move {file} away")
+    for link, before in own.masses.items():
+        owner, _, end = link.partition(".")
+        mass = tree.masses.get(link)
+        if owner in parts and mass is not None and (
+                before is None or np.abs(mass - before).max() > CHANGED * np.abs(before).max()):
+            _change_body(parts[owner][end] if end else parts[owner], mass)
+    for name, joint in own.joints.items():
+        now, turns = tree.joints[name], name.endswith((".barrel", ".barrel_turn"))
+        if turns and np.abs(joint.origin[:3, 3] - now.origin[:3, 3]).max() > CHANGED:
+            raise MachineError("the barrel's pin is not where the sidecar has it", where=f"{tree.file}: joint '{name}'",
+                               remedy=f"move it in cylinders[{name.partition('.')[0]}].barrel.pin of {file} as well")
+        if name in parts:
+            rest = inverse(joint.origin) @ now.origin
+            if max(map(_size, (rest[:2, 3], rest[:3, 2] - [0, 0, 1], now.axis - joint.axis))) > CHANGED:
+                raise MachineError("its axis is not where the sidecar has the end of the link before",
+                                   where=f"{tree.file}: joint '{name}'",
+                                   remedy=f"undo the change, correct links[{name}] in {file}, or remove that")
+            _change_joint(machine, parts, joint, now, rest)
+    return made
 
 
-def _point(stated: list[str]) -> Array:
-    return np.array([to_si(value, "m", where="pin") for value in stated])
+def _size(difference: Array) -> float:
+    return float(np.abs(difference).max())
 
 
-def is_zero(stated: Any) -> bool:
-    """Whether a quantity is zero, or only what is known of it beside its value is stated."""
-    value = stated.get("value") if isinstance(stated, dict) else stated
-    return value is None or float(str(value).split()[0]) == 0.0
+def _change_body(table: dict[str, Any], mass: Array) -> None:
+    """State a body by another pseudo-inertia (4, 4); what is known of the same numbers stays."""
+    body, (m, com, six) = table.setdefault("body", {}), central(mass)
+    for key in ("mc", "inertia"):
+        body.pop(key, None)
+    _put(body, "m", f"{m!r} kg")
+    _put(body, "com", [f"{each!r} m" for each in com.tolist()])
+    _put(body, "inertia_com", [f"{each!r} kg*m^2" for each in six.tolist()])
+
+
+def _change_joint(machine: Machine, parts: dict[str, Any], before: TreeJoint, now: TreeJoint, rest: Array) -> None:
+    """State what is otherwise of a joint, of its drive and of the coupling that it follows.
+
+    Where a robot file states nothing, nothing changes. `rest` is the joint's place now, seen from the one before.
+    """
+    name, stated = before.name, machine.link(before.name).joint
+    unit, effort = ("m", "N") if before.kind == "prismatic" else ("rad", "N*m")
+    joint, friction = parts[name]["joint"], stated.friction
+    rows: list[tuple[dict[str, Any], str, float | None, float | None, str]] = [
+        (joint, "theta", 0.0, math.atan2(rest[1, 0], rest[0, 0]), "rad"), (joint, "d", 0.0, float(rest[2, 3]), "m"),
+        (joint, "max_speed", before.max_speed, now.max_speed, f"{unit}/s")]
+    if not stated.dependent:
+        rows += [(joint, key, getattr(before, key), getattr(now, key), unit) for key in ("lower", "upper")]
+    carrier = joint
+    for each in machine.drivers.get(name, ()):
+        if isinstance(each, Motor | Drive):
+            carrier, friction = parts[each.name], each.friction
+        if isinstance(each, Drive):
+            rotor = now.rotor_inertia * (now.gear / before.gear)**2  # of MJCF that of the joint, without a gear
+            rows += [(carrier, "gear", before.gear, now.gear if now.gear != 1 else None, "1"),
+                     (carrier, "max_torque", before.max_effort, now.max_effort, effort),
+                     (carrier, "rotor_inertia", before.rotor_inertia, rotor or None, "kg*m^2")]
+    for key, per in (("coulomb", effort), ("viscous", f"{effort}*s/{unit}")):
+        if getattr(now, key) != getattr(before, key):
+            rows.append((carrier.setdefault("friction", {}), key, getattr(before, key),
+                         getattr(now, key) - getattr(before, key) + (getattr(friction, key) or 0.0), per))
+    coupling = mimicking(machine).get(name)
+    if before.mimic and now.mimic and coupling and coupling.joint == name:
+        table = parts[coupling.name]
+        rows += [(table["ratios"], before.mimic.master, before.mimic.ratio, now.mimic.ratio,
+                  machine.ratio_unit(name, before.mimic.master)),
+                 (table, "offset", before.mimic.offset, now.mimic.offset, unit)]
+    for table, key, old, new, si in rows:
+        if new is None or abs(new - (old or 0.0)) <= CHANGED * max(1.0, abs(old or 0.0)):
+            continue
+        value = new + getattr(stated, key) if key in ("theta", "d") else new
+        _put(table, key, value if si == "1" else f"{value!r} {si}")
+
+
+def _put(table: dict[str, Any], key: str, value: Any) -> None:
+    """State a value; what is known of it beside stays."""
+    table[key] = table[key] | {"value": value} if isinstance(table.get(key), dict) else value

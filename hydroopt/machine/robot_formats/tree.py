@@ -108,16 +108,6 @@ class RobotTree(NamedTuple):
             link = found[-1].parent
         return found
 
-    def rooted_at(self, link: str) -> RobotTree:
-        """The tree from one of its links on."""
-        inside = {link}
-        for joint in self.joints.values():
-            if joint.parent in inside:
-                inside.add(joint.child)
-        joints = {name: joint for name, joint in self.joints.items() if joint.parent in inside}
-        return self._replace(root=link, joints=joints, masses={name: self.masses[name] for name in inside},
-                             before={joint.child: joint for joint in joints.values()})
-
 
 def renamed(tree: RobotTree, links: Mapping[str, str]) -> RobotTree:
     """The tree with other names of some links."""

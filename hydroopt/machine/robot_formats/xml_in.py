@@ -1,26 +1,29 @@
-"""URDF and SDF files to the trees of their links and joints."""
+"""URDF and SDF files to the trees of their links and joints.
+
+What URDF states in attributes SDF states in elements of its own; both have the same names.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.robot_formats.frames import ORIGIN, from_roll_pitch_yaw, inverse, pose
+from hydroopt.machine.robot_formats.frames import ORIGIN, CentralInertia, from_roll_pitch_yaw, inverse, pose
 from hydroopt.machine.robot_formats.tree import Kind, Mimic, RobotTree, Spring, TreeJoint, like, one_tree
-from hydroopt.spatial import inertia
+from hydroopt.machine.robot_formats.xml_out import MOMENTS
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.input_file import JSON_LIMIT, read_text
 
 LARGEST = 1e9
 """What numbers are below; limits from here on are none."""
 KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
-_GEOMETRY = ("visual", "collision")
+_LOOSE = ("floating", "planar")
 WORLD = "world"
 """What a joint may name as its parent, beside links."""
 
@@ -44,37 +47,31 @@ def read_urdf(path: str | Path) -> RobotTree:
     1.0
     """
     file = str(path)
-    robot = robot_element(file, "robot", "URDF")
-    if any("xacro" in element.tag for element in robot.iter()):
+    robot = Node(robot_element(file, "robot", "URDF"), file)
+    if any("xacro" in element.tag for element in robot.elements):
         raise MachineError("this is a xacro template", where=file, remedy="give what the command xacro makes of it")
-    masses: dict[str, Array | None] = {}
-    joints: dict[str, TreeJoint] = {}
-    gears = _gears(robot, file)
-    for part in (*robot.findall("link"), *robot.findall("joint")):
-        name, known = part.get("name", ""), masses if part.tag == "link" else joints
-        if not name or name in known:
-            raise MachineError(f"two {part.tag}s are called '{name}'" if name else f"a {part.tag} has no name",
-                               where=file, remedy="give each one a name of its own")
-        node = Node(part, f"{file}: {part.tag} '{name}'")
-        if part.tag == "link":
-            inertial = node.at("inertial")
-            masses[name] = inertial_mass(inertial, inertial.at("mass"), inertial.at("inertia"), inertial.pose(),
-                                         "value")
-        else:
-            joints[name] = _joint(node, name, masses, gears.get(name, 1.0))
+    links, stated = robot.named("link"), robot.named("joint")
+    masses = {name: _mass(link.at("inertial"), link.at("inertial").at("mass"), "value", link.at("inertial").origin())
+              for name, link in links.items()}
+    gears, joints = _gears(robot), dict[str, TreeJoint]()
+    for name, node in stated.items():
+        kind, ends = _kind_and_ends(node, masses, (*KINDS, *_LOOSE))
+        moves = {} if KINDS.get(kind, "fixed") == "fixed" else _moving(
+            node, node, node.at("axis").numbers("xyz", (1.0, 0.0, 0.0)), kind, math.nan)
+        joints[name] = TreeJoint(name, KINDS.get(kind, "fixed"), **ends, origin=node.origin(),
+                                 gear=gears.get(name, 1.0), **moves)
     children = {joint.child for joint in joints.values()}
-    loose = [name for name, joint in joints.items() if _kind(robot, name) in ("floating", "planar")]
+    loose = [name for name, node in stated.items() if node.stated["type"] in _LOOSE]
     for name in loose:
         if joints[name].parent in children or len(joints) == 1:
-            raise MachineError(f"joints of type '{_kind(robot, name)}' are not supported",
-                               where=f"{file}: joint '{name}'", remedy=f"make it {', '.join(KINDS)}")
-    shapes = sum(len(link.findall(tag)) for link in robot.findall("link") for tag in _GEOMETRY)
-    lost = homeless_inertials(Node(robot, file))
+            raise _unsupported(stated[name])
+    shapes = sum(element.tag in ("visual", "collision") for link in links.values() for element in link.children)
+    lost = _homeless_inertials(robot)
     lost += [f"the free joint '{name}' stands still: the machine's base is '{joints[name].child}'" for name in loose]
     lost += [f"{shapes} visual and collision shapes are left out"] if shapes else []
     lost += [f"'{joint.name}' states limits that are out of reach, and turns without end"
-             for joint in joints.values() if joint.endless and _kind(robot, joint.name) == "revolute"]
-    return one_tree(file, robot.get("name") or Path(path).stem, masses, joints.values(), tuple(lost))
+             for joint in joints.values() if joint.endless and stated[joint.name].stated["type"] == "revolute"]
+    return one_tree(file, robot.stated.get("name") or Path(path).stem, masses, joints.values(), tuple(lost))
 
 
 def robot_element(file: str, tag: str, noun: str) -> ElementTree.Element:
@@ -96,32 +93,50 @@ def robot_element(file: str, tag: str, noun: str) -> ElementTree.Element:
 
 
 class Node:
-    """An XML element, or its absence, with its place in the file."""
+    """An XML element, or its absence, with its place in the file; `stated` are its attributes and its children's texts.
+    """
 
     def __init__(self, element: ElementTree.Element | None, where: str) -> None:
-        self.stated = {} if element is None else element.attrib
+        self.children = [] if element is None else list(element)
+        self.stated = {each.tag: each.text.strip() for each in self.children if each.text}
+        self.stated |= {} if element is None else element.attrib
         self.element, self.where = element, where
+
+    @property
+    def elements(self) -> Iterable[ElementTree.Element]:
+        """All elements within it, itself included."""
+        return () if self.element is None else self.element.iter()
 
     def at(self, tag: str) -> Node:
         """Its first child of a tag."""
-        return Node(None if self.element is None else self.element.find(tag), f"{self.where}: <{tag}>")
+        return Node(next((each for each in self.children if each.tag == tag), None), f"{self.where}: <{tag}>")
 
     def all(self, tag: str) -> list[Node]:
         """All children of a tag, which have names."""
-        found = [] if self.element is None else self.element.findall(tag)
-        return [Node(each, f"{self.where}: {tag} '{each.get('name', '')}'") for each in found]
+        return [Node(each, f"{self.where}: {tag} '{each.get('name', '')}'")
+                for each in self.children if each.tag == tag]
 
-    def texts(self) -> Node:
-        """What stands in its children, as if they were attributes."""
-        texts = {} if self.element is None else {each.tag: each.text.strip() for each in self.element if each.text}
-        return Node(ElementTree.Element("texts", texts), self.where)
+    def named(self, tag: str) -> dict[str, Node]:
+        """All children of a tag by their names.
+
+        Raises:
+            MachineError: one has no name, or that of another one.
+        """
+        found: dict[str, Node] = {}
+        for each in self.all(tag):
+            name = each.stated.get("name", "")
+            if not name or name in found:
+                raise MachineError(f"two {tag}s are called '{name}'" if name else f"a {tag} has no name",
+                                   where=self.where, remedy="give each one a name of its own")
+            found[name] = each
+        return found
 
     def number(self, key: str, default: float | None = None, *, largest: float = LARGEST) -> float:
-        """A number of an attribute; it must be stated where there is no default."""
+        """A stated number; it must be stated where there is no default."""
         return float(self.numbers(key, None if default is None else (default,), largest=largest)[0])
 
     def numbers(self, key: str, default: Sequence[float] | None = None, *, largest: float = LARGEST) -> Array:
-        """Numbers of an attribute, as many as `default` has; if there is none, one, and it must be stated."""
+        """Stated numbers, as many as `default` has; if there is none, one, and it must be stated."""
         text = self.stated.get(key)
         if text is None and default is not None:
             return np.array(default)
@@ -138,102 +153,98 @@ class Node:
         """A number, zero where it is not stated: many files state 0, or less, where nothing is known."""
         return max(self.number(key, 0.0), 0.0)
 
-    def pose(self) -> Array:
+    def origin(self) -> Array:
         """Pose that an element's <origin> states."""
         angles = self.at("origin").numbers("rpy", ORIGIN)
         return pose(from_roll_pitch_yaw(angles), self.at("origin").numbers("xyz", ORIGIN))
 
 
-def _kind(robot: ElementTree.Element, name: str) -> str:
-    return next(joint.get("type", "") for joint in robot.findall("joint") if joint.get("name") == name)
+def _unsupported(joint: Node) -> MachineError:
+    return MachineError(f"joints of type '{joint.stated.get('type', '')}' are not supported", where=joint.where,
+                        remedy=f"make it {', '.join(KINDS)}")
 
 
-def _joint(node: Node, name: str, links: Iterable[str], gear: float) -> TreeJoint:
-    kind = node.stated.get("type", "")
-    parent, child = (node.at(end).stated.get("link", "") for end in ("parent", "child"))
-    _refuse_joint(node, kind, (*KINDS, "floating", "planar"), {"parent": parent, "child": child}, links)
-    moves = KINDS.get(kind, "fixed") != "fixed"
-    axis = node.at("axis").numbers("xyz", (1.0, 0.0, 0.0)) if moves else np.array((0.0, 0.0, 1.0))
-    limit, dynamics = node.at("limit"), node.at("dynamics")
-    lower, upper = (limit.number(key, largest=math.inf) if key in limit.stated else None for key in ("lower", "upper"))
-    endless = kind == "continuous" or (kind == "revolute" and None not in (lower, upper)
-                                       and -(lower or 0.0) >= LARGEST and (upper or 0.0) >= LARGEST)
-    if moves and not endless:
-        lower, upper = (limit.number(key) if key in limit.stated else None for key in ("lower", "upper"))
-    return TreeJoint(
-        name=name, kind=KINDS.get(kind, "fixed"), parent=parent, child=child, origin=node.pose(),
-        axis=_unit(axis, node),
-        lower=lower if moves and not endless else None,
-        upper=upper if moves and not endless else None, endless=endless,
-        max_speed=limit.positive("velocity") or None, max_effort=limit.positive("effort") or None,
-        viscous=dynamics.positive("damping"), coulomb=dynamics.positive("friction"), gear=gear,
-        mimic=_mimic(node.at("mimic")) if moves else None)
+def _kind_and_ends(joint: Node, links: Container[str] & Iterable[str], kinds: Container[str]
+                   ) -> tuple[str, dict[str, str]]:
+    """Type of a joint, and its parent and child.
 
-
-def _refuse_joint(node: Node, kind: str, kinds: Iterable[str], ends: Mapping[str, str], links: Iterable[str]) -> None:
-    """Refuse a joint of a type that is not read, or an end of it that is no link."""
+    Raises:
+        MachineError: this type is not read, or an end is no link.
+    """
+    kind = joint.stated.get("type", "")
+    ends = {end: joint.at(end).stated.get("link", joint.stated.get(end, "")) for end in ("parent", "child")}
     if kind not in kinds:
-        raise MachineError(f"joints of type '{kind}' are not supported", where=node.where,
-                           remedy=f"make it {', '.join(KINDS)}")
+        raise _unsupported(joint)
     for end, link in ends.items():
         if link not in links:
-            raise MachineError(f"its {end} link '{link}' does not exist", where=node.where,
+            raise MachineError(f"its {end} link '{link}' does not exist", where=joint.where,
                                remedy=f"use {like(link, links)}, or add that link")
+    return kind, ends
 
 
-def _unit(axis: Array, node: Node) -> Array:
-    """Direction (3,) of an axis."""
-    if (length := float(np.linalg.norm(axis))) < 1e-9:
-        raise MachineError("its axis is zero", where=node.where, remedy="give it a direction")
-    return np.asarray(axis / length)
+def _moving(joint: Node, axis: Node, direction: Array, kind: str, usual: float) -> dict[str, Any]:
+    """Axis, limits, friction, spring and master of a moving joint.
+
+    Args:
+        joint: its element.
+        axis: the element that states all this: in URDF the joint's own, in SDF its axis.
+        direction: of the axis (3,).
+        kind: as the file has it.
+        usual: limit on both sides where none is stated.
+    """
+    limit, dynamics, mimic = (axis.at(tag) for tag in ("limit", "dynamics", "mimic"))
+    if (length := float(np.linalg.norm(direction))) < 1e-9:
+        raise MachineError("its axis is zero", where=joint.where, remedy="give it a direction")
+    ends = [limit.number(key, end, largest=math.inf) for key, end in (("lower", -usual), ("upper", usual))]
+    endless = kind == "continuous" or (kind == "revolute" and min(-ends[0], ends[1]) >= LARGEST)
+    lower, upper = (value if abs(value) < LARGEST and not endless else None for value in ends)
+    effort, speed = (value if 0 < (value := limit.number(key, 0.0, largest=math.inf)) < LARGEST else None
+                     for key in ("effort", "velocity"))
+    stiffness, ratio = dynamics.positive("spring_stiffness"), mimic.number("multiplier", 1.0)
+    return {"axis": direction / length, "lower": lower, "upper": upper, "endless": endless, "max_effort": effort,
+            "max_speed": speed, "viscous": dynamics.positive("damping"), "coulomb": dynamics.positive("friction"),
+            "spring": Spring(stiffness, dynamics.number("spring_reference", 0.0)) if stiffness else None,
+            "mimic": None if mimic.element is None else Mimic(
+                mimic.stated.get("joint", ""), ratio,
+                mimic.number("offset", 0.0) - ratio * mimic.number("reference", 0.0))}
 
 
-def _mimic(node: Node) -> Mimic | None:
-    if node.element is None:
-        return None
-    ratio = node.number("multiplier", 1.0)
-    return Mimic(node.stated.get("joint", ""), ratio, node.number("offset", 0.0))
-
-
-def _gears(robot: ElementTree.Element, file: str) -> dict[str, float]:
+def _gears(robot: Node) -> dict[str, float]:
     """Gear ratios of transmissions of one joint, by joint."""
     found = {}
-    for part in robot.findall("transmission"):
-        node = Node(part, f"{file}: transmission '{part.get('name', '')}'")
-        joints = part.findall("joint")
-        reductions = [each for each in part.iter("mechanicalReduction") if (each.text or "").strip()]
-        if len(joints) == 1 and len(reductions) >= 1:
-            stated = Node(ElementTree.Element("value", value=reductions[0].text or ""),
-                           f"{node.where}: <mechanicalReduction>")
-            found[joints[0].get("name", "")] = abs(stated.number("value")) or 1.0
+    for part in robot.all("transmission"):
+        reductions = [each.text for each in part.elements if each.tag == "mechanicalReduction" and (
+            each.text or "").strip()]
+        if len(joints := part.all("joint")) == 1 and reductions:
+            stated = Node(ElementTree.Element("value", value=reductions[0] or ""),
+                          f"{part.where}: <mechanicalReduction>")
+            found[joints[0].stated.get("name", "")] = abs(stated.number("value")) or 1.0
     return found
 
 
-def inertial_mass(inertial: Node, mass: Node, six: Node, at: Array, key: str = "mass") -> Array | None:
+def _mass(inertial: Node, mass: Node, key: str, at: Array) -> Array | None:
     """Pseudo-inertia (4, 4) in the link's frame that an <inertial> states; None where there is none, or all is zero.
 
     Args:
         inertial: the element.
         mass: what states the mass under a `key`.
-        six: what states the moments of inertia.
-        at: the pose of the frame that they are stated in.
+        key: see `mass`.
+        at: the pose of the frame in which moments of inertia are stated.
     """
     if inertial.element is None:
         return None
     m = mass.number(key)
     if m < 0:
         raise MachineError(f"its mass is negative, {m:g} kg", where=inertial.where, remedy="correct it")
-    moments = [six.number(each) for each in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-    return at @ inertia.pseudo_inertia(inertia.from_centre_of_mass(m, ORIGIN, moments)) @ at.T if m or any(
-        moments) else None
+    moments = np.array([inertial.at("inertia").number(each) for each in MOMENTS])
+    return at @ CentralInertia(m, np.zeros(3), moments).pseudo() @ at.T if m or moments.any() else None
 
 
-def homeless_inertials(robot: Node) -> list[str]:
+def _homeless_inertials(robot: Node) -> list[str]:
     """The <inertial> elements that are no link's first one, in sentences."""
-    assert robot.element is not None
-    links = robot.element.findall("link")
-    counted, found = {id(link.find("inertial")) for link in links}, []
-    for parent in robot.element.iter():
+    links = [link.element for link in robot.all("link")]
+    counted, found = {id(link.at("inertial").element) for link in robot.all("link")}, []
+    for parent in robot.elements:
         before = ""
         for child in parent:
             if child.tag == "inertial" and id(child) not in counted:
@@ -268,32 +279,37 @@ def read_sdf(path: str | Path) -> RobotTree:
     models = root.findall("./model") or root.findall("./world/model")
     if len(models) != 1:
         raise MachineError(f"it holds {len(models)} models", where=file, remedy="give a file of one model")
-    return _Model(file, Node(models[0], file)).tree()
+    model = Node(models[0], file)
+    frames = _Frames(file, {tag: model.named(tag) for tag in ("link", "joint", "frame")})
+    masses: dict[str, Array | None] = {}
+    for name, link in frames.parts["link"].items():
+        inertial = link.at("inertial")
+        masses[name] = _mass(inertial, inertial, "mass", _pose(inertial))
+    joints: list[TreeJoint] = []
+    for name, joint in frames.parts["joint"].items():
+        if joint.stated.get("parent") == WORLD:
+            masses.setdefault(WORLD, None)
+        kind, ends = _kind_and_ends(joint, masses, KINDS)
+        at = frames.place(name, (("link", name),))
+        moves = {} if kind == "fixed" else _moving(joint, joint.at("axis"), frames.axis(joint, at), kind, math.inf)
+        offset = inverse(at) @ frames.place(ends["child"])
+        beside = not np.allclose(offset, np.eye(4), rtol=0, atol=1e-12)  # the link's frame is not the joint's
+        moved = f"{name}.moved" if beside else ends["child"]
+        joints.append(TreeJoint(name, KINDS[kind], ends["parent"], moved,
+                                inverse(frames.place(ends["parent"])) @ at, **moves))
+        if beside:
+            masses[moved] = None
+            joints.append(TreeJoint(f"{name}.offset", "fixed", moved, ends["child"], offset))
+    lost = _homeless_inertials(model)
+    lost += [f"{count} further <{tag}> are left out" for tag in ("include", "model") if (count := len(model.all(tag)))]
+    return one_tree(file, model.stated.get("name") or Path(file).stem, masses, joints, tuple(lost))
 
 
-class _Model:
-    def __init__(self, file: str, model: Node) -> None:
-        self.file, self.model = file, model
-        self.parts = {tag: {each.stated.get("name", ""): each for each in model.all(tag)}
-                      for tag in ("link", "joint", "frame")}
-        for tag, parts in self.parts.items():
-            if "" in parts or len(parts) < len(model.all(tag)):
-                raise MachineError(f"a {tag} has no name, or the name of another one", where=file,
-                                   remedy="give each one a name of its own")
-        self.masses: dict[str, Array | None] = {name: inertial_mass(link.at("inertial"), link.at("inertial").texts(),
-                                                                   link.at("inertial").at("inertia").texts(),
-                                                                   _pose(link.at("inertial")))
-                                                for name, link in self.parts["link"].items()}
-        self.joints: list[TreeJoint] = []
+class _Frames(NamedTuple):
+    """Links, joints and frames of an SDF model, each by its name."""
 
-    def tree(self) -> RobotTree:
-        for name, joint in self.parts["joint"].items():
-            self._joint(name, joint)
-        lost = [*homeless_inertials(self.model)]
-        for tag in ("include", "model"):
-            lost += [f"{count} further <{tag}> are left out"] if (count := len(self.model.all(tag))) else []
-        return one_tree(self.file, self.model.stated.get("name") or Path(self.file).stem, self.masses, self.joints,
-                        tuple(lost))
+    file: str
+    parts: dict[str, dict[str, Node]]
 
     def place(self, name: str, behind: tuple[tuple[str, str], ...] = ()) -> Array:
         """Pose (4, 4) of a link, joint or frame in the model's frame; older files have a link and a joint of one name.
@@ -305,50 +321,19 @@ class _Model:
             raise MachineError(f"a pose is relative to '{name}', which is none of its links, joints and frames, or is "
                                "placed relative to itself", where=self.file, remedy="correct 'relative_to'")
         part = self.parts[found][name]
-        beside = {"joint": part.texts().stated.get("child", ""), "frame": part.stated.get("attached_to", "")}
+        beside = {"joint": part.stated.get("child", ""), "frame": part.stated.get("attached_to", "")}
         stated = part.at("pose").stated
         return self.place(stated.get("relative_to") or stated.get("frame") or beside.get(found, ""),
                           (*behind, (found, name))) @ _pose(part)
 
-    def _joint(self, name: str, joint: Node) -> None:
-        kind, ends = joint.stated.get("type", ""), joint.texts().stated
-        parent, child = ends.get("parent", ""), ends.get("child", "")
-        if parent == WORLD:
-            self.masses.setdefault(WORLD, None)
-        _refuse_joint(joint, kind, KINDS, {"parent": parent, "child": child}, self.masses)
-        at = self.place(name, (("link", name),))
-        moving = {} if kind == "fixed" else self._axis(joint, at, kind)
-        offset = inverse(at) @ self.place(child)
-        beside = not np.allclose(offset, np.eye(4), rtol=0, atol=1e-12)  # the link's frame is not the joint's
-        moved = f"{name}.moved" if beside else child
-        self.joints.append(TreeJoint(name=name, kind=KINDS[kind], parent=parent, child=moved,
-                                     origin=inverse(self.place(parent)) @ at, **moving))
-        if beside:
-            self.masses[moved] = None
-            self.joints.append(TreeJoint(name=f"{name}.offset", kind="fixed", parent=moved, child=child, origin=offset))
-
-    def _axis(self, joint: Node, at: Array, kind: str) -> dict[str, Any]:
-        """Axis, limits, friction, spring and master of a moving joint at a pose in the model's frame."""
+    def axis(self, joint: Node, at: Array) -> Array:
+        """Direction (3,) of the axis of a joint, which has a pose in the model's frame."""
         axis = joint.at("axis")
-        direction = axis.texts().numbers("xyz", (0.0, 0.0, 1.0))
-        older = "__model__" if axis.texts().stated.get("use_parent_model_frame") in ("1", "true") else ""
+        direction = axis.numbers("xyz", (0.0, 0.0, 1.0))
+        older = "__model__" if axis.stated.get("use_parent_model_frame") in ("1", "true") else ""
         if frame := axis.at("xyz").stated.get("expressed_in", older):
-            direction = at[:3, :3].T @ self.place(frame)[:3, :3] @ direction
-        limit, dynamics, mimic = (axis.at(tag) for tag in ("limit", "dynamics", "mimic"))
-        bounds = [limit.texts().number(key, end, largest=math.inf) for key, end in (("lower", -math.inf),
-                                                                                   ("upper", math.inf))]
-        endless = kind == "continuous" or (kind == "revolute" and min(-bounds[0], bounds[1]) >= LARGEST)
-        lower, upper = (None if endless or abs(value) >= LARGEST else value for value in bounds)
-        spring = dynamics.texts().positive("spring_stiffness")
-        most = {key: value if 0 < (value := limit.texts().number(key, -1.0, largest=math.inf)) < LARGEST else None
-                for key in ("effort", "velocity")}
-        return {"axis": _unit(direction, joint), "lower": lower, "upper": upper, "endless": endless,
-                "max_effort": most["effort"], "max_speed": most["velocity"],
-                "viscous": dynamics.texts().positive("damping"), "coulomb": dynamics.texts().positive("friction"),
-                "spring": Spring(spring, dynamics.texts().number("spring_reference", 0.0)) if spring else None,
-                "mimic": None if mimic.element is None else Mimic(
-                    mimic.stated.get("joint", ""), (ratio := mimic.texts().number("multiplier", 1.0)),
-                    mimic.texts().number("offset", 0.0) - ratio * mimic.texts().number("reference", 0.0))}
+            return np.asarray(at[:3, :3].T @ self.place(frame)[:3, :3] @ direction)
+        return direction
 
 
 def _pose(part: Node) -> Array:
@@ -356,6 +341,6 @@ def _pose(part: Node) -> Array:
     at = part.at("pose")
     if at.stated.get("rotation_format", "euler_rpy") != "euler_rpy":
         raise MachineError("its rotation is a quaternion", where=at.where, remedy="state roll, pitch and yaw")
-    six = part.texts().numbers("pose", (*ORIGIN, *ORIGIN))
+    six = part.numbers("pose", (*ORIGIN, *ORIGIN))
     angles = np.radians(six[3:]) if at.stated.get("degrees") in ("true", "1") else six[3:]
     return pose(from_roll_pitch_yaw(angles), six[:3])
