@@ -74,7 +74,7 @@ class FrameSheet(Sheet):
 
     def texts(self, index: int, rows: NDArray[np.int64]) -> list[str]:
         """A column as texts, missing ones ''."""
-        return self._series[index].astype(object).where(self._series[index].notna(), "").map(str).to_list()
+        return list(map(str, self._series[index].astype(object).where(self._series[index].notna(), "")))
 
 
 class Tabular(Shown):

@@ -333,12 +333,12 @@ def _by_name(names: ChannelNames, columns: Sequence[ColumnOf], ranges: Mapping[s
     top = [each for score, each in made if score == best[each.channel]]
     for each in top:
         if each.channel not in chosen:
-            columns = [f"'{other.column.header}' may be it" for other in top
-                       if other.channel == each.channel and other is not each]
+            others = [f"'{other.column.header}' may be it" for other in top
+                      if other.channel == each.channel and other is not each]
             channels = [f"it may be {other.channel}" for other in top if other.column is each.column
                         and other is not each and best[other.channel] >= best[each.channel]]
-            chosen[each.channel] = each if not columns + channels else replace(
-                each, sureness="guess", reason=f"{each.reason}; {(columns + channels)[0]}, too")
+            chosen[each.channel] = each if not others + channels else replace(
+                each, sureness="guess", reason=f"{each.reason}; {(others + channels)[0]}, too")
     return chosen
 
 
@@ -402,7 +402,7 @@ def _by_gravity(gravity: float, scores: Mapping[str, Sequence[tuple[int, ColumnO
     fit = np.zeros(4)
     for name in dict.fromkeys(channel.rpartition(".")[0] for channel in named if channel.endswith(".accel_x")):
         accelerations, rates = ([each[0] for end in ends if len(each := named.get(f"{name}.{end}", ())) == 1]
-                                for ends in (ACCELEROMETER, GYROSCOPE))
+                                for ends in (list(ACCELEROMETER), list(GYROSCOPE)))
         if len(accelerations) < 3:
             continue
         lengths = np.linalg.norm([each.values for each in accelerations], axis=0)

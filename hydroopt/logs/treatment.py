@@ -253,11 +253,10 @@ def _outliers(samples: Samples, limits: Mapping[str, Extremes], where: str) -> I
     level = {name: mask & ~clipped[name] & present[name] for name, mask in find.stuck(sensed, samples.whole).items()}
     spiky = {name: find.spikes(x, find.FINEST.get(si_unit(name), 0.0)) & ~clipped[name] & ~level[name] & present[name]
              for name, x in sensed.items()}
-    for kind, masks in (("saturated", clipped), ("stuck", level), ("spike", spiky)):
+    for kind, masks, found in (("saturated", clipped, _at_limit), ("stuck", level, _level), ("spike", spiky, _worst)):
         for name, mask in masks.items():
             if mask.any():
-                yield kind, name, mask, {
-                    "saturated": _at_limit, "stuck": _level, "spike": _worst}[kind](samples, limits, name, mask)
+                yield kind, name, mask, found(samples, limits, name, mask)
 
 
 def _at_limit(samples: Samples, limits: Mapping[str, Extremes], name: str, mask: Mask) -> str:

@@ -64,7 +64,7 @@ class Table:
     def csv(self) -> str:
         """One line per cell; numbers to their last bit, an empty field where there is none."""
         keys = dict.fromkeys(key for some in (["cell"], *self.cells, ["error"], *self.results) for key in some)
-        return csv_text([dict.fromkeys(keys) | {"cell": k} | cell | outcome.get("result", {})
+        return csv_text([dict.fromkeys(keys) | {"cell": k} | dict(cell) | outcome.get("result", {})
                          | {"error": outcome.get("error")}
                          for k, (cell, outcome) in enumerate(zip(self.cells, self.outcomes, strict=True))])
 

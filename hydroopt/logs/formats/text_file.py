@@ -86,7 +86,7 @@ class TextFile(Sheet):
 
     def texts(self, index: int, rows: NDArray[np.int64]) -> list[str]:
         """The cells of a column."""
-        return self._cells(index, rows).to_list()
+        return list(map(str, self._cells(index, rows)))
 
     def _parsed(self, **how: Any) -> pd.DataFrame:
         """These rows, as pandas reads them.
