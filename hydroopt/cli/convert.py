@@ -15,7 +15,7 @@ from hydroopt.errors import MachineError, ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
-    from hydroopt.machine.robot_formats.reading import RobotFile
+    from hydroopt.machine.robot_formats.machine_tables import RobotFile
 
 _ASKED = (("bore", "bore, e.g. 100 mm"), ("rod_diameter", "diameter of the rod, e.g. 56 mm"))
 
@@ -37,7 +37,8 @@ def convert(
     """
     from hydroopt.codegen.parameter_source import read
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES, load_machine
-    from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
+    from hydroopt.machine.robot_formats.machine_tables import FRAMES
+    from hydroopt.machine.robot_formats.reading import read_robot
     from hydroopt.machine.robot_formats.writing import robot_files
     from hydroopt.support.files import write_files
 

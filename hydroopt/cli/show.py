@@ -81,7 +81,8 @@ def show(
 def _frames(run: Run) -> None:
     from hydroopt.errors import ProblemError
     from hydroopt.machine.machine_file import ROBOT_SUFFIXES
-    from hydroopt.machine.robot_formats.reading import FRAMES, read_robot
+    from hydroopt.machine.robot_formats.machine_tables import FRAMES
+    from hydroopt.machine.robot_formats.reading import read_robot
 
     if Path(run.named).suffix not in ROBOT_SUFFIXES:
         raise ProblemError("its frames are those of no robot file", where=run.named,

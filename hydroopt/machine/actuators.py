@@ -22,9 +22,9 @@ from hydroopt.machine.quantity import (
     Inertia,
     Length,
     LinearStiffness,
-    Name,
     Noun,
     Number,
+    Part,
     PinTorque,
     Pressure,
     Speed,
@@ -83,7 +83,7 @@ class CylinderFriction(TorqueFriction):
     """Dry friction in the rod's pin."""
 
 
-class Cylinder(Noun):
+class Cylinder(Part):
     """A hydraulic cylinder, or several equal jacks side by side, between two links.
 
     Its areas are stated by `head_area` and `rod_area`, or by `bore` and `rod_diameter`. Bodies, friction and forces are
@@ -92,8 +92,6 @@ class Cylinder(Noun):
 
     effort_symbol: ClassVar = "f"
     """What the names of parameters of its force begin with, after the dot."""
-    name: Name
-    """Name of the cylinder."""
     barrel: Attachment
     """Pin and body of the barrel."""
     rod: Attachment
@@ -163,13 +161,11 @@ class Cylinder(Noun):
         return _by_pressures(self)
 
 
-class Motor(Noun):
+class Motor(Part):
     """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61)."""
 
     effort_symbol: ClassVar = "tau"
     """What the names of parameters of its torque begin with, after the dot."""
-    name: Name
-    """Name of the motor."""
     joint: str
     """Joint that it turns."""
     torque_per_pressure: TorquePerPressure = Field(gt=0)
@@ -211,13 +207,11 @@ def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
     return {first: a, second: -b}
 
 
-class Drive(Noun):
+class Drive(Part):
     """A joint driven directly by a torque, as in an electric arm; torques are those on the joint's side."""
 
     effort_symbol: ClassVar = "tau"
     """What the names of parameters of its torque begin with, after the dot."""
-    name: Name
-    """Name of the drive."""
     joint: str
     """Joint that it moves."""
     gear: Number = Field(1.0, gt=0)
@@ -252,11 +246,9 @@ Actuator = Cylinder | Motor | Drive
 """What moves joints by a force of its own."""
 
 
-class PassivePart(Noun):
+class PassivePart(Part):
     """A part between two pins that nothing drives; its ends carry no body yet."""
 
-    name: Name
-    """Its name."""
     barrel: Attachment
     """Pin of the barrel, or one pin of a spring."""
     rod: Attachment

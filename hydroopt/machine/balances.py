@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from hydroopt.machine.actuators import Actuator, Cylinder
 
@@ -139,12 +140,10 @@ def entangled(moved: Mapping[str, tuple[str, ...]], mains: Mapping[str, str],
     (('lift', 'tilt'),)
     """
     place = {joint: k for k, joint in enumerate(joints)}
-    moves = np.eye(len(joints), dtype=bool)
+    moves = np.zeros((len(joints), len(joints)), dtype=bool)
     for name, others in moved.items():
         for joint in others:
             moves[place[mains[name]], place[joint]] = True
-    for _ in joints:  # in as many steps as it takes
-        moves = moves @ moves
-    each_other = moves & moves.T
-    groups = dict.fromkeys(tuple(joints[k] for k in np.flatnonzero(row)) for row in each_other)
+    of_joint = connected_components(moves, connection="strong")[1]
+    groups = (tuple(joints[k] for k in np.flatnonzero(of_joint == group)) for group in dict.fromkeys(of_joint.tolist()))
     return tuple(group for group in groups if len(group) > 1)

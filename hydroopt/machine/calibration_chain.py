@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, StrictBool
 
 from hydroopt.machine.links import JointFriction, Link
-from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
+from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun, Part
 
 CLOSES = {"ball": (0, 1, 2), "hinge": (0, 1, 2, 3, 4), "rigid": (0, 1, 2, 3, 4, 5), "plane": (2,)}
 """Which of the tip's place (0, 1, 2) and the tool's turn (3, 4, 5) a fixture holds, along x, y, z of its frame."""
@@ -39,7 +39,7 @@ class Calibrator(Noun):
                                       "have", "leave it out")
             before = link.name
 
-class Fixture(Noun):
+class Fixture(Part):
     """What holds the tip in the base frame without a sensor (the task of Section 3.3.2).
 
     The tip stands in the origin of its frame, and by `kind` the tool
@@ -50,8 +50,6 @@ class Fixture(Noun):
     - ``plane`` turns freely, while the tip slides in the fixture's x-y plane (5).
     """
 
-    name: Name
-    """Name of the fixture."""
     kind: Literal["ball", "hinge", "rigid", "plane"] = "ball"
     """How it holds the tool."""
     position: Lengths
@@ -83,15 +81,13 @@ class Fixture(Noun):
             yield ImpossibleError(f"'{self.name}' is a {self.kind}, which holds no turn that could have a tilt",
                                   "leave the tilt out, or state the kind hinge or rigid")
 
-class Stage(Noun):
+class Stage(Part):
     """Poses measured one after another.
 
     A locked joint keeps its unknown angle in the following stages until one of them moves it. Joints with readings in
     the pose table need not be named.
     """
 
-    name: Name
-    """Name of the stage."""
     moves: tuple[Name, ...] = ()
     """Joints that move without a sensor."""
     locked: dict[Name, Angle] = Field(default_factory=dict)

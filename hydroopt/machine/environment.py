@@ -15,6 +15,7 @@ from hydroopt.machine.quantity import (
     Mass,
     Name,
     Noun,
+    Part,
     Pressure,
     Volume,
 )
@@ -49,14 +50,12 @@ class Pump(Noun):
             yield ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
                                   "pressure")
 
-class Obstacle(Noun):
+class Obstacle(Part):
     """A ball that links and cylinders avoid, but for what is pinned to its link.
 
     A cab that swings with its machine is attached to the swinging link.
     """
 
-    name: Name
-    """Name of the obstacle."""
     link: Name
     """Link that carries it, or `base`."""
     centre: Lengths

@@ -18,7 +18,6 @@ from hydroopt.machine.linkages import Linkage
 from hydroopt.machine.links import Body, Box, Identical, Joint, Link, Note, TotalMass
 from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.oil_links import OilLink
-from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
 from hydroopt.machine.sensors import FaultSizes, Imu, Rangefinder, Sensor
 from hydroopt.machine.survey import Datum, Distance, Instrument, Target, Tracker
@@ -27,6 +26,15 @@ from hydroopt.units import UnitError, spread_to_si, to_si
 
 NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 """What a table may state of a number: its value, and what is known of it."""
+class CylinderBodies(Noun):
+    """The bodies of a cylinder in a set of inertial parameters; of a link a set states the body itself."""
+
+    barrel: Body | None = None
+    """Its barrel's."""
+    rod: Body | None = None
+    """Its rod's."""
+
+
 _LINK, _CYLINDER = "of a link", "of a cylinder"
 SetBodies = Annotated[Annotated[Body, Tag(_LINK)] | Annotated[CylinderBodies, Tag(_CYLINDER)],
                       Discriminator(lambda stated: _CYLINDER if isinstance(stated, Mapping) and stated

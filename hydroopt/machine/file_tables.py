@@ -15,9 +15,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from hydroopt.errors import MachineError
-from hydroopt.machine import file_checks, free_links, linkages, oil_links, parameter_sets, range_checks
+from hydroopt.machine import file_checks, free_links, linkages, oil_links, range_checks
 from hydroopt.machine.bundled_files import bundled_files
-from hydroopt.machine.file_schema import in_plain_words, validate, without_notes
+from hydroopt.machine.file_schema import CylinderBodies, in_plain_words, validate, without_notes
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun
@@ -39,7 +39,7 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
     _default_parents(data)
     validate(data, where)
     in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
-    moved = parameter_sets.expand(data, parameter_set, where) | in_linkages
+    moved = _with_bodies(data, parameter_set, where) | in_linkages
     _expand_ground(data)
     moved |= free_links.expand(data) | free_links.expand_base(data)
     try:
@@ -54,6 +54,41 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
         place = error.where if isinstance(error, UnitError) else error.key
         raise MachineError(error.what, where=_at(where, place, moved), remedy=error.remedy) from None
     return machine
+
+
+def _with_bodies(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
+    """Put the chosen bodies in their places of a description that was validated.
+
+    Returns:
+        Which place of the machine stands where in the file.
+
+    Raises:
+        MachineError: there is no such set, or any of the sets names a part that there is not, or one of the other kind.
+    """
+    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", "")
+    chosen, moved = wanted or default, dict[str, str]()
+    if chosen and chosen not in sets:
+        raise MachineError(f"there is no parameter set '{chosen}'", where=where,
+                           remedy=f"the file has: {', '.join(sets) or 'none'}")
+    links, cylinders = ({part["name"]: part for part in data.get(kind, [])} for kind in ("links", "cylinders"))
+    for given, bodies in sets.items():
+        for name, stated in bodies.items():
+            there = f"parameter_sets.{given}.{name}"
+            ends = stated.keys() <= CylinderBodies.model_fields.keys()
+            if name not in (cylinders if ends else links):
+                other = {True: "a link: state its body", False: "a cylinder: state the bodies of 'barrel' and 'rod'"}
+                raise MachineError(f"parameter set '{given}' names '{name}', which does not exist"
+                                   if name not in {*links, *cylinders} else f"'{name}' is {other[ends]}",
+                                   where=f"{where}: {there}", remedy="name a link or a cylinder, and what it has")
+            if given == chosen and not ends:
+                links[name]["body"] = stated
+                moved[f"links[{name}].body"] = there
+            for end, body in stated.items() if given == chosen and ends else ():
+                cylinders[name][end]["body"] = body
+                moved[f"cylinders[{name}].{end}.body"] = f"{there}.{end}"
+    if chosen:
+        data["parameter_set"] = chosen
+    return moved
 
 
 def _expand_ground(data: dict[str, Any]) -> None:

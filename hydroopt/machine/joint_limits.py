@@ -11,7 +11,7 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
-from hydroopt.machine.range_checks import FLAT, POINTS
+from hydroopt.machine.range_checks import FLAT, POINTS, expressed, length
 from hydroopt.spatial.inertia import Array
 
 INSIDE = 1e-6
@@ -67,12 +67,10 @@ def _reach(machine: Machine, cylinder: Cylinder, joint: str, others: tuple[str, 
 
     A cylinder that is not `alone` at its joint may pass its dead point.
     """
-    geometry, mechanism = Geometry(machine), Mechanism(machine)
-    q = {name: ca.SX.sym(name) for name in (joint, *others)}
-    at = mechanism.positions(geometry, q)
-    length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
-    function = ca.Function("reach", [ca.vertcat(*q.values())], [ca.vertcat(
-        length - cylinder.dead_length, ca.jacobian(length, q[joint]), *mechanism.sines(geometry, q))])
+    geometry, mechanism, names = Geometry(machine), Mechanism(machine), (joint, *others)
+    function = expressed(geometry, names, lambda q, at: [ca.vertcat(
+        (found := length(geometry, cylinder, at)) - cylinder.dead_length, ca.jacobian(found, q[0]),
+        *mechanism.sines(geometry, {name: at[name] for name in names}))])
     axes = [np.linspace(*machine.link(name).joint.range, BESIDE) for name in others]
     beside = np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")]) if others else np.zeros((0, 1))
 

@@ -25,6 +25,7 @@ from hydroopt.machine.quantity import (
     MassMoment,
     Name,
     Noun,
+    Part,
     Position,
     Quantity,
     Six,
@@ -197,22 +198,18 @@ class Body(Noun):
         return np.array([self.m, *self.mc, *self.inertia])
 
 
-class TotalMass(Noun):
+class TotalMass(Part):
     """The mass of several bodies together, as of a weighbridge; with a confidence it is a prior, without it exact."""
 
-    name: Name
-    """Name of the statement."""
     bodies: tuple[str, ...] = Field(min_length=1)
     """Bodies that were weighed together, such as `boom`, `boom_cylinder.rod`."""
     value: Mass = Field(gt=0)
     """Their mass."""
 
 
-class Identical(Noun):
+class Identical(Part):
     """Identical parts."""
 
-    name: Name
-    """Name of the statement."""
     bodies: tuple[str, ...] = ()
     """Bodies of equal inertial parameters."""
     friction: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, Noun, Position, Ratio
+from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Noun, Part, Position, Ratio
 
 
 class SharedPin(Noun):
@@ -19,7 +19,7 @@ class SharedPin(Noun):
     """Its place (3,) in that link's frame P_i (or the base frame)."""
 
 
-class Loop(Noun):
+class Loop(Part):
     """A link is held at a pin of another one, for which joints depend.
 
     By a `pin` it turns about an axis: two equations, in the loop's plane. By a `ball` it is held in space: three
@@ -27,8 +27,6 @@ class Loop(Noun):
     """
 
     kind: ClassVar = "loop"
-    name: Name
-    """Name of the loop."""
     link: str
     """The link that is held."""
     pin: Lengths | None = None
@@ -59,7 +57,7 @@ class Loop(Noun):
         return f"loops[{self.name}]"
 
 
-class Coupling(Noun):
+class Coupling(Part):
     """position of `joint` = Σ ratio · position of another joint + `offset`: by chains, belts, gears, racks.
 
     One of its joints is dependent and follows from the others.
@@ -67,8 +65,6 @@ class Coupling(Noun):
 
     kind: ClassVar = "coupling"
     equations: ClassVar = 1
-    name: Name
-    """Name of the coupling."""
     joint: str
     """The joint on the left."""
     ratios: dict[str, Ratio] = Field(min_length=1)

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.machine.closures import Closure, closures
-from hydroopt.machine.general_loops import GeneralAssembly, apart, assembled
+from hydroopt.machine.general_loops import WITHIN, GeneralAssembly, apart, assembled
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
@@ -17,9 +17,9 @@ from hydroopt.machine.planar_loops import PlanarAssembly
 from hydroopt.machine.quantity import ImpossibleError
 
 Assembly = PlanarAssembly | GeneralAssembly
-NEAR, WITHIN = 0.5, np.radians(45.0)
+NEAR = 0.5
 """A posture tells how a loop is assembled if it is nearer to one of the two ways than this part of the distance to the
-other, and than this angle [rad]."""
+other, and than `WITHIN`."""
 
 
 class Ways(NamedTuple):

@@ -75,7 +75,7 @@ class PlanarAssembly(NamedTuple):
         """Positions of its joints from those before, by name, and a sine, see `GeneralAssembly.solved`: that of the
         angle between the bars, or between the bar and the normal of the line."""
         first, second = self.closure.joints
-        if not slides(geometry, self.closure):
+        if geometry.machine.turns(second):
             made = self.dyad(geometry, q)
             found = self.bars(made)
             return (dict(zip(self.closure.joints, angles(made, found), strict=True)),
@@ -90,7 +90,7 @@ class PlanarAssembly(NamedTuple):
 
     def why_open(self, geometry: Geometry, q: Mapping[str, Any]) -> str:
         """Why it cannot close at positions, in words."""
-        if slides(geometry, self.closure):
+        if not geometry.machine.turns(self.closure.joints[1]):
             line = self._slider(geometry, q)
             return (f"its bar reaches {float(ca.norm_2(line.pin)):.3f} m, its line is "
                     f"{abs(float(_cross(line.along, line.at))):.3f} m away")
@@ -102,8 +102,8 @@ class PlanarAssembly(NamedTuple):
     def dead(self, geometry: Geometry) -> str:
         """What happens at a dead point, in words."""
         first, second = self.closure.joints
-        return (f"the bar about '{first}' stands across the line of '{second}'" if slides(geometry, self.closure) else
-                f"'{first}' and '{second}' lie in one line")
+        return (f"'{first}' and '{second}' lie in one line" if geometry.machine.turns(second) else
+                f"the bar about '{first}' stands across the line of '{second}'")
 
     def _ends(self, geometry: Geometry) -> tuple[tuple[str, ca.SX], tuple[str, ca.SX]]:
         """The loop's ends, each with its link: first the one that the first joint carries."""
@@ -146,11 +146,6 @@ class PlanarAssembly(NamedTuple):
             return _Slider(here, along, None, there, 1)
         # where the sliding joint carries the turning one, the pin moves the other way as seen from there
         return _Slider(there, along, here, here, -1 if line in geometry.machine.ancestry(turns) else 1)
-
-
-def slides(geometry: Geometry, closure: Closure) -> bool:
-    """Whether the second joint of a planar closure slides."""
-    return geometry.machine.link(closure.joints[1]).joint.type == "prismatic"
 
 
 def angles(made: Dyad, found: Bars) -> tuple[ca.SX, ca.SX]:

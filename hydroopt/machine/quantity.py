@@ -186,3 +186,10 @@ Reading = Annotated[float, *_quantity("1", *sorted({unit for units in CHANNEL_UN
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$")]
 Lengths = tuple[Length, Length, Length]
 Six = tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia]
+
+
+class Part(Noun):
+    """A part of a machine, or a statement about some, that has a name of its own."""
+
+    name: Name
+    """Its name, which no other part has."""

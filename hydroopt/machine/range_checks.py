@@ -61,13 +61,19 @@ class Sampled(NamedTuple):
         return self.machine.in_words(self.posture(sample))
 
 
+def expressed(geometry: Geometry, joints: Sequence[str],
+              quantities: Callable[[ca.SX, dict[str, ca.SX]], Sequence[ca.SX]]) -> ca.Function:
+    """Quantities, stated by positions (n,) of joints and by those of all joints that follow, as a function of (n,)."""
+    q = ca.SX.sym("q", len(joints))
+    at = Mechanism(geometry.machine).positions(geometry, dict(zip(joints, ca.vertsplit(q), strict=True)))
+    return ca.Function("expressed", [q], [ca.vec(ca.densify(ca.SX(each))) for each in quantities(q, at)])
+
+
 def sampled(geometry: Geometry, joints: Sequence[str], states: Array,
             quantities: Callable[[ca.SX, dict[str, ca.SX]], Sequence[ca.SX]]) -> Sampled:
-    """Quantities at positions (n, N) of joints, as functions of these (n,) and of all joints that follow them."""
-    machine, q = geometry.machine, ca.SX.sym("q", len(joints))
-    at = Mechanism(machine).positions(geometry, dict(zip(joints, ca.vertsplit(q), strict=True)))
-    function = ca.Function("sampled", [q], [ca.vec(ca.densify(ca.SX(each))) for each in quantities(q, at)])
-    return Sampled(machine, tuple(joints), states, [np.asarray(each) for each in function.call([states])])
+    """Quantities, see `expressed`, at positions (n, N) of joints."""
+    found = expressed(geometry, joints, quantities).call([states])
+    return Sampled(geometry.machine, tuple(joints), states, [np.asarray(each) for each in found])
 
 
 def over(machine: Machine, joints: Sequence[str]) -> Array:
@@ -159,18 +165,15 @@ def _span(geometry: Geometry, joints: tuple[str, ...]) -> Span:
     around = [joint for joint in machine.joints if any(joint in machine.moved_by(each) for each in cylinders)]
     own = [around.index(joint) for joint in joints]
     found = sampled(geometry, around, over(machine, around), lambda q, at: [
-        ca.jacobian(ca.vertcat(*(_length(geometry, each, at) for each in cylinders)), q)[:, own]])
+        ca.jacobian(ca.vertcat(*(length(geometry, each, at) for each in cylinders)), q)[:, own]])
     turned = found.values[0].T.reshape(-1, size, len(cylinders)).transpose(0, 2, 1)
     norms = np.linalg.norm(turned, axis=1, keepdims=True)
     turned = turned / np.where(norms > 0, norms, 1.0)  # none of the lengths feels a joint with a column of zeros
-    if len(cylinders) > size:  # the triangle of the same lengths and angles, whose corner keeps its sign
-        corner = np.asarray(np.linalg.qr(turned, mode="r"))
-        turned = corner * np.sign(np.diagonal(corner, axis1=1, axis2=2))[:, :, None]
-    volumes = np.linalg.det(turned)
+    apart = np.linalg.svd(turned, compute_uv=False)[:, -1] > 1e-12
     # a row of the inverse has the length of one over the sine of its joint's angle to the others
-    usable: Array = np.where((np.abs(volumes) > 1e-12)[:, None, None], turned, np.eye(size))
-    sines = 1 / np.max(np.linalg.norm(np.linalg.inv(usable), axis=2), axis=1)
-    signed = np.where(np.abs(volumes) > 1e-12, np.sign(volumes) * np.sign(volumes[0]) * sines, 0.0)
+    sines = 1 / np.max(np.linalg.norm(np.linalg.pinv(turned), axis=2), axis=1)
+    sides = np.sign(np.linalg.det(turned)) if len(cylinders) == size else np.ones(len(turned))
+    signed = np.where(apart, sides * sides[0] * sines, 0.0)
     worst = int(np.argmin(signed))
     return Span(joints, cylinders, float(np.arcsin(np.clip(signed[worst], -1, 1))), found.at(worst))
 
@@ -208,15 +211,16 @@ def over_range(geometry: Geometry, part: Pinned) -> OverRange:
     moved = joints.index(machine.main_joint(part)) if isinstance(part, Cylinder) else -1
 
     def quantities(q: ca.SX, at: dict[str, ca.SX]) -> list[ca.SX]:
-        length = _length(geometry, part, at)
-        return [length, ca.jacobian(length, q)[moved]]
+        distance = length(geometry, part, at)
+        return [distance, ca.jacobian(distance, q)[moved]]
 
     found = sampled(geometry, joints, states, quantities)
     lengths, arms = (each.ravel() for each in found.values)
     return OverRange(lengths, arms, found.at)
 
 
-def _length(geometry: Geometry, part: Pinned, at: Mapping[str, ca.SX]) -> ca.SX:
+def length(geometry: Geometry, part: Pinned, at: Mapping[str, ca.SX]) -> ca.SX:
+    """Distance of the pins [m] of a part at positions of joints by name."""
     return ca.norm_2(geometry.pin(part, "rod", at) - geometry.pin(part, "barrel", at))
 
 
@@ -354,7 +358,7 @@ def _dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylinder])
     """A posture in which none of the cylinders of a joint has a lever arm, or all of them change its sign."""
     states = over(geometry.machine, (joint,))
     found = sampled(geometry, (joint,), states, lambda q, at: [
-        ca.jacobian(_length(geometry, each, at), q) for each in cylinders])
+        ca.jacobian(length(geometry, each, at), q) for each in cylinders])
     signs = np.sign([each.ravel() for each in found.values])
     dead = np.flatnonzero(np.all(signs[:, 1:] * signs[:, :-1] <= 0, axis=0))
     if dead.size:

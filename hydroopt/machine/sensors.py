@@ -22,9 +22,9 @@ from hydroopt.machine.quantity import (
     ImpossibleError,
     Length,
     Lengths,
-    Name,
     Noun,
     Number,
+    Part,
     Rate,
     Reading,
 )
@@ -96,11 +96,9 @@ class Sensor(Noun):
         return np.round(read / self.resolution) * self.resolution if self.resolution > 0 else read
 
 
-class Measuring(Noun):
+class Measuring(Part):
     """A part that poses are measured with, with channels of its own."""
 
-    name: Name
-    """Name of the part."""
 
     def channel_units(self, targets: Sequence[str]) -> dict[str, str]:
         """Its channels in a log or a table of poses, with their SI units; `targets` are the names of all targets."""
@@ -272,8 +270,3 @@ class FaultSizes(Noun):
     """Drift of a force reading over a log, as a part of the RMS force."""
     friction: Number | None = Field(None, gt=0)
     """A missing term of friction, as a part of the RMS force."""
-
-    def of(self, group: str) -> float | None:
-        """The size [SI] stated for a group of faults, None where there is none."""
-        size: float | None = getattr(self, group, None)
-        return size

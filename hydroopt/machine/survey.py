@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from hydroopt.machine.quantity import CHANNEL_UNITS, Angle, ImpossibleError, Length, Lengths, Name, Noun
+from hydroopt.machine.quantity import CHANNEL_UNITS, Angle, ImpossibleError, Length, Lengths, Name, Noun, Part
 from hydroopt.machine.sensors import Measuring
 
 TIP = "tip"
@@ -17,15 +17,13 @@ SEEN = {axis: CHANNEL_UNITS[axis][0] for axis in ("x", "y", "z", "rx", "ry", "rz
 """Components of a target's measured position, and of its orientation as rotation vector or quaternion; SI units."""
 
 
-class Target(Noun):
+class Target(Part):
     """A prism, a ball, a punched mark or a marker on a link.
 
     >>> Target(name="stick_prism", link="stick", position=(1.2, 0.3, 0.0)).link
     'stick'
     """
 
-    name: Name
-    """Name of the target."""
     link: str | None = None
     """Link that carries it, or `base`; if not stated, or `ground`, it rests, also where the base moves."""
     position: Lengths = (0.0, 0.0, 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -43,7 +42,7 @@ def carried_load(model: Model, link: str, centre: ArrayLike = (0.0, 0.0, 0.0)) -
     moved[:3, 3] = centre
     if holder != link:
         pose = model.geometry.far_end(holder) @ model.geometry.relative_pose(holder, link, {})
-        at[:3, :3], at[:3, 3] = ca.evalf(ca.SX(pose.rotation)).full(), ca.evalf(ca.SX(pose.origin)).full().ravel()
+        at = pose.matrix()
     at = at @ moved
     columns = np.zeros((len(model.parameters), 10))
     columns[model.parameters.bodies[holder]] = np.stack([inertia.from_pseudo_inertia(at @ one @ at.T)

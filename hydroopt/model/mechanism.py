@@ -19,7 +19,7 @@ from hydroopt.machine.closures import Closure
 from hydroopt.machine.general_loops import closure_equations
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.mechanism import Assembly, Mechanism
-from hydroopt.machine.planar_loops import Bars, PlanarAssembly, angles, slides
+from hydroopt.machine.planar_loops import Bars, PlanarAssembly, angles
 from hydroopt.model.kinematics import Coordinates, rate
 
 Parts = TypeVar("Parts")
@@ -90,7 +90,7 @@ def _stacked(joints: Mapping[str, tuple[ca.SX, ...]]) -> Coordinates:
 
 def _joint_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) -> JointMotion:
     """Position, rate and acceleration of a closure's dependent joints."""
-    if isinstance(assembly, PlanarAssembly) and not slides(geometry, assembly.closure):
+    if isinstance(assembly, PlanarAssembly) and geometry.machine.turns(assembly.closure.joints[1]):
         return _dyad_motion(geometry, assembly, tree)
     names, own = geometry.machine.tree_joints, assembly.closure.joints
     q = dict(zip(names, ca.vertsplit(tree.q), strict=True))

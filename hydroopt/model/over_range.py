@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from operator import itemgetter
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.range_checks import length, sampled
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -39,13 +42,8 @@ def lever_arms(model: Model) -> tuple[Curve, ...]:
     >>> stick.subject, stick.joint, round(float(stick.value.max()), 2)
     ('stick_cylinder', 'stick', 0.72)
     """
-    machine, found = model.machine, []
-    for k, cylinder in enumerate(machine.cylinders):
-        joint = machine.moved_by(cylinder)[-1]
-        q, column = _sweep(machine, joint)
-        arm = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[3][:, k, column]
-        found.append(Curve(cylinder.name, joint, q[:, column], arm))
-    return tuple(found)
+    return tuple(_curve(model, each.name, model.machine.moved_by(each)[-1],
+                        partial(length, model.geometry, each)) for each in model.machine.cylinders)
 
 
 def transmission_ratios(model: Model) -> tuple[Curve, ...]:
@@ -56,20 +54,18 @@ def transmission_ratios(model: Model) -> tuple[Curve, ...]:
     >>> rocker.subject, rocker.joint, round(float(rocker.value.max()), 2)
     ('rocker', 'bucket', 0.76)
     """
-    machine, mechanism, found = model.machine, Mechanism(model.machine), []
-    symbols = ca.SX.sym("q", len(machine.joints))
-    at = mechanism.positions(model.geometry, {joint: symbols[k] for k, joint in enumerate(machine.joints)})
-    for assembly in mechanism.assemblies:
+    found = []
+    for assembly in Mechanism(model.machine).assemblies:
         first, joint = assembly.closure.joints[0], assembly.closure.follows[-1]
-        q, column = _sweep(machine, joint)
-        ratio = ca.Function("ratio", [symbols], [ca.jacobian(at[first], symbols[column])])
-        found.append(Curve(first, joint, q[:, column], np.asarray(ratio(q.T)).ravel()))
+        found.append(_curve(model, first, joint, itemgetter(first)))
     return tuple(found)
 
 
-def _sweep(machine: Machine, joint: str) -> tuple[Array, int]:
-    """Joint positions (N, n) along the range of one joint, and its place in them."""
+def _curve(model: Model, subject: str, joint: str, quantity: Callable[[dict[str, ca.SX]], ca.SX]) -> Curve:
+    """The slope of a quantity, a function of all joints by name, along the range of one joint."""
+    machine = model.machine
     column = machine.joints.index(joint)
     q = np.tile(machine.ranges.mean(axis=1), (POINTS, 1))
     q[:, column] = np.linspace(*machine.link(joint).joint.range, POINTS)
-    return q, column
+    slope = sampled(model.geometry, machine.joints, q.T, lambda x, at: [ca.jacobian(quantity(at), x[column])])
+    return Curve(subject, joint, q[:, column], slope.values[0].ravel())

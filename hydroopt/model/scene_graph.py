@@ -19,7 +19,7 @@ from hydroopt.spatial import inertia
 from hydroopt.spatial.convex_hull import corners
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import Pose, roll_pitch_yaw
+from hydroopt.spatial.poses import roll_pitch_yaw
 
 Point = tuple[str, tuple[float, float, float]]
 """A body's name, and coordinates (3,) [m] in its frame."""
@@ -148,7 +148,7 @@ class SceneGraph:
     @cached_property
     def bodies(self) -> tuple[SceneBody, ...]:
         """All links, each after its parent."""
-        seats = {link.name: matrix(self.geometry.seat(link.name) @ self.geometry.joint(link.name, 0.0))
+        seats = {link.name: (self.geometry.seat(link.name) @ self.geometry.joint(link.name, 0.0)).matrix()
                  for link in self._links}
         joined: dict[str, list[Sequence[float]]] = {BASE: [], **{link.name: [(0.0, 0.0, 0.0)] for link in self._links}}
         ends = [point for strut in self.struts for point in (strut.start, strut.end)]
@@ -245,13 +245,6 @@ class SceneGraph:
                 moved[2, 3] = at
             found[body.name] = found[body.parent] @ body.seat @ moved
         return found
-
-
-def matrix(pose: Pose) -> Array:
-    """A numeric pose as a matrix (4, 4)."""
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = np.asarray(ca.DM(pose.rotation)), np.asarray(ca.DM(pose.origin)).ravel()
-    return made
 
 
 def _point(value: Any) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import Pose, roll_pitch_yaw
+from hydroopt.spatial.poses import roll_pitch_yaw
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -92,11 +92,5 @@ def _ends(model: Model, poses: Array) -> dict[str, Array]:
 
 def _frames(model: Model, poses: Array) -> dict[str, Array]:
     """Pose in the world (k, 4, 4) of every link's frame P_i."""
-    return {name: end @ np.linalg.inv(_matrix(model.geometry.far_end(name)))
+    return {name: end @ model.geometry.far_end(name).inverse().matrix()
             for name, end in _ends(model, poses).items()}
-
-
-def _matrix(pose: Pose) -> Array:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = np.asarray(pose.rotation), np.asarray(pose.origin).ravel()
-    return matrix

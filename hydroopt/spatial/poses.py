@@ -9,6 +9,9 @@ import math
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
+
+from hydroopt.spatial.inertia import Array
 
 RIGHT = 1e-15
 """What a cosine of a right angle in floating point may differ from zero by, a few turns off the first."""
@@ -31,6 +34,12 @@ class Pose(NamedTuple):
     def point(self, local: ca.SX) -> ca.SX:
         """Coordinates (3,) in the outer frame of a point given in this frame."""
         return self.origin + self.rotation @ local
+
+    def matrix(self) -> Array:
+        """Homogeneous matrix (4, 4) of a pose in numbers."""
+        made = np.eye(4)
+        made[:3] = np.asarray(ca.horzcat(ca.evalf(ca.SX(self.rotation)), ca.evalf(ca.SX(self.origin))))
+        return made
 
 
 def identity() -> Pose:

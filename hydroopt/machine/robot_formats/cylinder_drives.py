@@ -13,7 +13,7 @@ from hydroopt.machine.file_tables import build_machine
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.range_checks import over_range
-from hydroopt.machine.robot_formats.reading import RobotFile
+from hydroopt.machine.robot_formats.machine_tables import RobotFile
 from hydroopt.support.input_file import similar
 from hydroopt.units import to_si
 

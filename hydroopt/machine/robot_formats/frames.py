@@ -14,6 +14,8 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import rotation_x, rotation_y, rotation_z
 
 ORIGIN = (0.0, 0.0, 0.0)
+APART = 1e-9
+"""By how much [m or rad, or as a part of a number] places and numbers differ that are not the same."""
 _NEARLY_PARALLEL = math.sin(math.radians(2))
 
 

@@ -21,6 +21,7 @@ from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.robot_formats.frames import (
+    APART,
     ORIGIN,
     Numbers,
     central,
@@ -28,6 +29,7 @@ from hydroopt.machine.robot_formats.frames import (
     inverse,
     onto,
     reaching,
+    roll_pitch_yaw,
     tidy,
 )
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, TreePin, like
@@ -35,8 +37,6 @@ from hydroopt.spatial.inertia import Array
 from hydroopt.units import SMALLEST
 
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
-_APART = 1e-9
-"""How far [m, rad] an axis of a loop may lie beside its plane."""
 
 
 class Placed(NamedTuple):
@@ -46,21 +46,41 @@ class Placed(NamedTuple):
     pose: Array
 
 
-class Tables(NamedTuple):
-    """A machine file's tables, and what else is known of the tree's parts in them.
+FRAMES = "Frames of the machine's links in those of the robot file's links"
+"""What heads the table of frames."""
+FRAME = ("x [m]", "y [m]", "z [m]", "roll [deg]", "pitch [deg]", "yaw [deg]")
+"""What states a frame, with its units."""
+
+
+class RobotFile(NamedTuple):
+    """What a robot file and its sidecar say.
 
     Attributes:
-        tables: the machine file's.
-        links: each link of the tree with the machine's link that it is part of, and its pose in that link's frame P.
-        lost: what the robot file says and the tables do not, in sentences.
+        tables: a machine file's.
+        lost: what the robot file says and a machine file cannot, in sentences.
+        links: each link of the robot with the machine's link that it is part of, and its pose in that link's frame P.
+        beside: whether there is a sidecar, from which the tables are.
     """
 
     tables: dict[str, Any]
-    links: dict[str, Placed]
     lost: tuple[str, ...]
+    links: dict[str, Placed]
+    beside: bool = False
+
+    @property
+    def frames(self) -> list[dict[str, str | float]]:
+        """Of each of the robot's links the machine's link that it is part of, and where that link's frame P is in the
+        robot link's frame: origin ``x``, ``y``, ``z`` [m], and roll, pitch and yaw [deg]: Rot(z)·Rot(y)·Rot(x)."""
+        found: list[dict[str, str | float]] = []
+        for link, at in self.links.items():
+            seen = inverse(at.pose)
+            numbers = (*seen[:3, 3], *np.degrees(roll_pitch_yaw(seen[:3, :3])))
+            found.append({"robot link": link, "machine link": at.carrier} | dict(
+                zip(FRAME, map(tidy, numbers), strict=True)))
+        return found
 
 
-def machine_tables(tree: RobotTree, *, tip: str | None = None) -> Tables:
+def machine_tables(tree: RobotTree, *, tip: str | None = None) -> RobotFile:
     """Tables of a robot's links, drives and couplings.
 
     The base is the root link, its z points up; a locked link leads to an axis that does not lie on the z of what
@@ -102,7 +122,7 @@ class _Conversion:
         self.poses = {tree.root: Placed(_NONE, np.eye(4))}
         self.axes: dict[str, Placed] = {}
 
-    def tables(self) -> Tables:
+    def tables(self) -> RobotFile:
         self._place()
         links: list[dict[str, Any]] = []
         self.starts, self.ends = {_NONE: np.eye(4)}, {_NONE: Numbers(0.0, 0.0)}
@@ -132,7 +152,7 @@ class _Conversion:
                  for joint in self.held if joint.mimic]
         lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self.joints
                  if joint.rotor_inertia and joint.mimic is None and not _driven(joint)]
-        return Tables(tables, inside, tuple(lost))
+        return RobotFile(tables, tuple(lost), inside)
 
     def _place(self) -> None:
         """Of each link, and of each moving joint's frame at rest, what carries it."""
@@ -364,5 +384,5 @@ def _in_a_plane(joints: list[TreeJoint], axes: Mapping[str, Placed]) -> bool:
 
     turning = [axis(joint.name) for joint in joints if joint.kind == "revolute"]
     sliding = [axis(joint.name) for joint in joints if joint.kind == "prismatic"]
-    return bool(turning) and all(np.linalg.norm(np.cross(each, turning[0])) < _APART for each in turning) and all(
-        abs(each @ turning[0]) < _APART for each in sliding)
+    return bool(turning) and all(np.linalg.norm(np.cross(each, turning[0])) < APART for each in turning) and all(
+        abs(each @ turning[0]) < APART for each in sliding)

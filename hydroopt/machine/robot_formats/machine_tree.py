@@ -18,11 +18,10 @@ from hydroopt.machine.loops import Coupling, Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.range_checks import over, sampled
-from hydroopt.machine.robot_formats.frames import from_roll_pitch_yaw, inverse, pose, turn
+from hydroopt.machine.robot_formats.frames import APART, from_roll_pitch_yaw, inverse, pose, turn
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import Pose
 
 WORLD = "machine.world"
 """Link that carries a machine's tilted base."""
@@ -31,8 +30,6 @@ Way = tuple[str, Literal["revolute", "prismatic"], int]
 FLOATING: tuple[Way, ...] = (("barrel_x", "prismatic", 0), ("barrel_y", "prismatic", 1), ("barrel_z", "prismatic", 2),
                              ("barrel_turn", "revolute", 2), ("barrel", "revolute", 1))
 """The joints of a barrel that no link carries."""
-_AT = 1e-9
-"""How far from a plane [m] pins may lie and be taken to lie in it."""
 
 
 def machine_tree(machine: Machine, *, floating: bool = False) -> RobotTree:
@@ -70,7 +67,7 @@ class _Tree:
             self._link(link)
         tip = "tip" if "tip" not in self.masses else "machine.tip"  # no name of a machine's part has a dot
         self.joints.append(TreeJoint(name=tip, kind="fixed", parent=machine.tip, child=tip,
-                                     origin=_matrix(self.geometry.far_end(machine.tip))))
+                                     origin=self.geometry.far_end(machine.tip).matrix()))
         self.masses[tip] = None
         for loop in machine.loops:
             own, other = (np.asarray(ca.DM(end)).ravel() for end in self.geometry.loop_ends(loop))
@@ -87,7 +84,7 @@ class _Tree:
         self.masses[link.name] = _mass(link.body)
         made = TreeJoint(name=link.name, kind="fixed" if j.type == "locked" else j.type, parent=link.parent,
                          child=link.name,
-                         origin=_matrix(self.geometry.seat(link.name) @ self.geometry.joint(link.name, 0.0)))
+                         origin=(self.geometry.seat(link.name) @ self.geometry.joint(link.name, 0.0)).matrix())
         if j.moving:
             made = self._moving(link, made)
         self.joints.append(made)
@@ -128,7 +125,7 @@ class _Tree:
 
     def _cylinder(self, cylinder: Cylinder) -> None:
         axis = self.machine.link(self.machine.axis_of(cylinder))
-        frame = _matrix(self.geometry.seat(axis.name))
+        frame = self.geometry.seat(axis.name).matrix()
         if axis.joint.type == "prismatic":  # a cylinder may lie along the axis: then the x axis takes its place
             frame = frame @ pose(turn(2, axis.joint.theta) @ np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]))
         carrier, name = cylinder.barrel.link, f"{cylinder.name}.barrel"
@@ -169,10 +166,10 @@ class _Tree:
             seat = places[carrier] @ frame
             ends = [(inverse(seat) @ places[end.link] @ np.append(end.pin, 1.0))[2]
                     for end in (cylinder.barrel, cylinder.rod)]
-            planar = planar and abs(ends[1] - ends[0]) < _AT
+            planar = planar and abs(ends[1] - ends[0]) < APART
             axes.append((inverse(places[cylinder.barrel.link]) @ seat)[:3, :3])
-        across = all(np.max(np.abs(each[:, 2] - axes[0][:, 2])) < _AT for each in axes)
-        fixed = all(np.max(np.abs(each - axes[0])) < _AT for each in axes)
+        across = all(np.max(np.abs(each[:, 2] - axes[0][:, 2])) < APART for each in axes)
+        fixed = all(np.max(np.abs(each - axes[0])) < APART for each in axes)
         return planar and across, fixed
 
     def _aim(self, cylinder: Cylinder, ways: tuple[Way, ...]) -> None:
@@ -198,13 +195,8 @@ def mimicking(machine: Machine) -> dict[str, Coupling]:
 def link_poses(machine: Machine, q: Mapping[str, float]) -> dict[str, Array]:
     """Frames P (4, 4) of all links in the base frame at positions of the tree's joints; those left out are zero."""
     geometry, moving = Geometry(machine), {joint: q.get(joint, 0.0) for joint in machine.tree_joints}
-    return {link: _matrix(geometry.relative_pose(BASE, link, moving))
+    return {link: geometry.relative_pose(BASE, link, moving).matrix()
             for link in (BASE, *(each.name for each in machine.links))}
-
-
-def _matrix(found: Pose) -> Array:
-    """A pose in numbers as a homogeneous matrix (4, 4)."""
-    return pose(np.asarray(found.rotation), np.asarray(found.origin).ravel())
 
 
 def posture(machine: Machine) -> dict[str, float]:

@@ -16,14 +16,11 @@ from hydroopt.errors import MachineError
 from hydroopt.machine.actuators import Drive, Motor
 from hydroopt.machine.file_tables import build_machine, machine_file_tables
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.robot_formats.frames import central, inverse
+from hydroopt.machine.robot_formats.frames import APART, central, inverse
 from hydroopt.machine.robot_formats.machine_tree import machine_tree, mimicking
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint
 from hydroopt.spatial.inertia import Array
 from hydroopt.support.input_file import read_text, toml
-
-CHANGED = 1e-9
-"""By how much [m or rad, or relative] numbers of the two files differ where one of them was changed."""
 
 
 def beside(path: str | Path) -> Path:
@@ -45,7 +42,7 @@ def with_sidecar(tree: RobotTree, file: Path) -> dict[str, Any]:
     own, made = machine_tree(machine, floating=tree.gravity is not None), machine_file_tables(machine)
     parts = {part["name"]: part for kind in ("links", "cylinders", "motors", "drives", "couplings")
              for part in made.get(kind, [])}
-    alone = [*(own.joints.keys() - tree.joints.keys()),
+    alone = [*(name for name in own.joints if name not in tree.joints),
              *(name for name, joint in tree.joints.items() if name not in own.joints and joint.kind != "fixed"),
              *(name for name, mass in tree.masses.items() if name not in own.masses and mass is not None)]
     if alone:
@@ -55,16 +52,16 @@ def with_sidecar(tree: RobotTree, file: Path) -> dict[str, Any]:
         owner, _, end = link.partition(".")
         mass = tree.masses.get(link)
         if owner in parts and mass is not None and (
-                before is None or np.abs(mass - before).max() > CHANGED * np.abs(before).max()):
+                before is None or np.abs(mass - before).max() > APART * np.abs(before).max()):
             _change_body(parts[owner][end] if end else parts[owner], mass)
     for name, joint in own.joints.items():
         now, turns = tree.joints[name], name.endswith((".barrel", ".barrel_turn"))
-        if turns and np.abs(joint.origin[:3, 3] - now.origin[:3, 3]).max() > CHANGED:
+        if turns and np.abs(joint.origin[:3, 3] - now.origin[:3, 3]).max() > APART:
             raise MachineError("the barrel's pin is not where the sidecar has it", where=f"{tree.file}: joint '{name}'",
                                remedy=f"move it in cylinders[{name.partition('.')[0]}].barrel.pin of {file} as well")
         if name in parts:
             rest = inverse(joint.origin) @ now.origin
-            if max(map(_size, (rest[:2, 3], rest[:3, 2] - [0, 0, 1], now.axis - joint.axis))) > CHANGED:
+            if max(map(_size, (rest[:2, 3], rest[:3, 2] - [0, 0, 1], now.axis - joint.axis))) > APART:
                 raise MachineError("its axis is not where the sidecar has the end of the link before",
                                    where=f"{tree.file}: joint '{name}'",
                                    remedy=f"undo the change, correct links[{name}] in {file}, or remove that")
@@ -119,7 +116,7 @@ def _change_joint(machine: Machine, parts: dict[str, Any], before: TreeJoint, no
                   machine.ratio_unit(name, before.mimic.master)),
                  (table, "offset", before.mimic.offset, now.mimic.offset, unit)]
     for table, key, old, new, si in rows:
-        if new is None or abs(new - (old or 0.0)) <= CHANGED * max(1.0, abs(old or 0.0)):
+        if new is None or abs(new - (old or 0.0)) <= APART * max(1.0, abs(old or 0.0)):
             continue
         value = new + getattr(stated, key) if key in ("theta", "d") else new
         _put(table, key, value if si == "1" else f"{value!r} {si}")

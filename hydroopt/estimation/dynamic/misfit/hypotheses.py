@@ -420,7 +420,7 @@ def listed(view: View) -> Iterator[Fault]:
 
 def stated_size(view: View, fault: Fault) -> float | None:
     """The standard deviation [SI] that the machine file states: of a sensor's lag, or of the fault's group."""
-    of_group, machine = view.model.machine.faults.of(fault.group), view.model.machine
+    of_group, machine = getattr(view.model.machine.faults, fault.group, None), view.model.machine
     if not isinstance(fault, Lag):
         return of_group
     return max((machine.lag(channel).sigma for channel in force_channels(view.model, view.experiment.log)
