@@ -7,7 +7,7 @@ rounding. The number of steps is fixed, so that positions are one expression, wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
@@ -30,11 +30,10 @@ NEARLY, ROUNDING = 1e-8, 1e-12
 CALIBRATED = 0.03
 """How far [rad or m] calibrated geometry may move positions from those of the machine file."""
 SAMPLES = {1: 96, 2: 256}
-DEGREES = {1: (8, 14), 2: (5, 8), 3: (3, 5)}
-"""Samples, and degrees of the polynomial that are tried, by how many joints the loops follow; 512 and (2, 3) where
-these are more."""
-MOST = 6
-"""Greatest number of Newton's steps."""
+DEGREES = {1: 14, 2: 8, 3: 5}
+"""Samples, and the highest degree of the polynomial, by how many variables it has; 512 and 3 where these are more."""
+FEW, MOST = 3, 6
+"""Newton's steps that are enough, and their greatest number."""
 ALONG, CORRECTIONS = 32, 3
 """Steps of the tracking from the posture to a sample, and Newton's steps in each of them."""
 MOBILE = 1e-9
@@ -58,12 +57,12 @@ class Start(NamedTuple):
     coefficients: Array
 
     @classmethod
-    def fitted(cls, degree: int, middle: Array, half: Array, q: Array, values: Array, rcond: float | None = None
-               ) -> Start:
+    def fitted(cls, degree: int, q: Array, values: Array) -> Start:
         """The polynomial of a degree nearest to every second sample (m, N) at q (n, N)."""
+        middle, half = (q.max(axis=1) + q.min(axis=1)) / 2, np.ptp(q, axis=1) / 2
         powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(len(q)), k))
         shape = cls(tuple(middle.tolist()), tuple(half.tolist()), powers, np.zeros((len(values), len(powers))))
-        found = np.linalg.lstsq(np.array(shape.terms(q))[:, ::2].T, values[:, ::2].T, rcond=rcond)[0]
+        found = np.linalg.lstsq(np.array(shape.terms(q))[:, ::2].T, values[:, ::2].T, rcond=1e-9)[0]
         return shape._replace(coefficients=found.T)
 
     def at(self, q: Sequence[ca.SX]) -> ca.SX:
@@ -79,6 +78,31 @@ class Start(NamedTuple):
         for each in self.powers[1:]:
             made[each] = u[each[-1]] if len(each) == 1 else made[each[:-1]] * u[each[-1]]
         return [made[each] for each in self.powers]
+
+
+def newton_start(q: Array, values: Array, moved: Callable[[Start], Array],
+                 step: Callable[[Array], Array]) -> tuple[Start, int] | None:
+    """A polynomial, and the fewest steps of Newton's method that lead from it to the values; None if it needs too many.
+
+    Args:
+        q: samples (n, N) of its variables, see `spread`.
+        values: (m, N) there.
+        moved: where the steps begin (m, N) with other geometry.
+        step: one step of Newton's method (m, N).
+    """
+    best: tuple[Start, int] | None = None
+    for degree in range(1, DEGREES.get(len(q), 3) + 1):
+        start = Start.fitted(degree, q, values)
+        at, error = moved(start), np.inf
+        for count in range(1, best[1] if best else MOST + 1):
+            before, at = error, step(at)
+            error = float(np.max(np.abs(at - values)))
+            if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(values)))):
+                best = start, count
+                break
+        if best and best[1] <= FEW:
+            break
+    return best
 
 
 class GeneralAssembly(NamedTuple):
@@ -217,30 +241,31 @@ def assembled(geometry: Geometry, closure: Closure, posture: Mapping[str, float]
     begin = np.array([posture[joint] for joint in closure.follows])
     here = _closed(problem, posture, begin)
     ranges = np.array([machine.link(joint).joint.range for joint in closure.follows])
-    middle, half, n = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2, len(begin)
-    q = spread(ranges, SAMPLES.get(n, 512))
+    q = spread(ranges)
     positions = problem.tracked(here, begin, q)
     if (lost := np.flatnonzero(~np.isfinite(positions).all(axis=0))).size:
-        nearest = lost[np.argmin(np.linalg.norm((q[:, lost] - begin[:, None]) / half[:, None], axis=0))]
+        away = (q[:, lost] - begin[:, None]) / np.ptp(ranges, axis=1)[:, None]
+        nearest = lost[np.argmin(np.linalg.norm(away, axis=0))]
         words = machine.in_words(dict(zip(closure.follows, q[:, nearest].tolist(), strict=True)))
         raise ImpossibleError(f"{closure} cannot close, or only beyond a dead point, on the way from its "
                               f"posture to {words}", "correct its pins and lengths, or narrow the joints' limits",
                               closure.statements[0].place)
-    lowest, highest = DEGREES.get(n, (2, 3))
-    for degree in range(lowest, highest + 1):
-        start = Start.fitted(degree, middle, half, q, positions)
-        steps = _steps(problem, start.coefficients @ np.array(start.terms(q)), q, positions)
-        if steps is not None:
-            return GeneralAssembly(closure, start, steps)
+    def moved(start: Start) -> Array:
+        at = start.coefficients @ np.array(start.terms(q))
+        return np.asarray(at + CALIBRATED * moved_aside(at))
+
+    if found := newton_start(q, positions, moved, lambda at: problem.step(at, q)):
+        return GeneralAssembly(closure, *found)
     raise ImpossibleError(f"{closure} would come too near to a dead point in the range of "
                           f"{', '.join(closure.follows)} for Newton's method", "narrow the joints' limits",
                           closure.statements[0].place)
 
 
-def spread(ranges: Array, count: int) -> Array:
-    """Samples (n, N) of ranges (n, 2): corners and middles, and `count` between them, denser towards the ends, as the
+def spread(ranges: Array) -> Array:
+    """Samples (n, N) of ranges (n, 2): corners and middles, and more between them, denser towards the ends, as the
     nodes of Chebyshev's polynomials."""
     n = len(ranges)
+    count = SAMPLES.get(n, 512)
     corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n, indexing="ij")).reshape(n, -1)[:, :count]
     u = np.hstack([corners, np.sin(np.pi / 2 * (2 * halton(n, count).T - 1))])
     return np.asarray(ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * u)
@@ -249,17 +274,6 @@ def spread(ranges: Array, count: int) -> Array:
 def moved_aside(values: Array) -> Array:
     """Signs, of the shape of samples, by which calibrated geometry may move them: neighbours to different sides."""
     return np.asarray(1 - 2 * (np.arange(values.size).reshape(values.shape) % 3 % 2))
-
-
-def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int | None:
-    """How many steps bring all samples to rounding, also of other geometry; None if none do."""
-    error, at = np.inf, start + CALIBRATED * moved_aside(start)
-    for count in range(1, MOST + 1):
-        before, at = error, problem.step(at, q)
-        error = float(np.max(np.abs(at - positions)))
-        if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(positions)))):
-            return count
-    return None
 
 
 def _closed(problem: _Problem, posture: Mapping[str, float], begin: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.general_loops import MOST, NEARLY, ROUNDING, Start, moved_aside, spread
+from hydroopt.machine.general_loops import Start, moved_aside, newton_start, spread
 from hydroopt.machine.geometry import Geometry
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.least_squares_by_sample import nearest
@@ -88,12 +88,6 @@ def readings(model: Model, q: Array, channels: Sequence[str]) -> tuple[Array, Ar
             np.stack([found[channel][1] for channel in channels], axis=1))
 
 
-SAMPLES = {1: 96, 2: 256}
-DEGREES = {1: 8, 2: 5, 3: 4}
-"""Samples, and the highest degree of the polynomial, by how many lengths and joints it depends on; 512 and 3 for
-more."""
-FEW = 3
-"""Newton's steps that are enough; if no degree makes do with those, up to `MOST` are taken."""
 CALIBRATED = 0.01
 """How far [m] calibrated geometry may move lengths from those of the machine file."""
 
@@ -211,9 +205,8 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
     own, others, read = (tuple(names.index(each) for each in chosen) for names, chosen in (
         (machine.joints, joints), (machine.joints, given), ([each.name for each in machine.cylinders],
                                                             [each.name for each in cylinders])))
-    n = len(read) + len(others)
     free = [*own, *others]
-    drawn = spread(machine.ranges[free], SAMPLES.get(n, 512))
+    drawn = spread(machine.ranges[free])
     q = np.tile(machine.ranges.mean(axis=1)[:, None], (1, drawn.shape[1]))
     q[free] = drawn
     function = ca.Function("lengths", [model.dynamics.coordinates.q],
@@ -225,21 +218,15 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
 
     measured = lengths(q)[0]
     inputs = np.vstack([measured, q[list(others)]])
-    moved_inputs = np.vstack([measured + CALIBRATED * moved_aside(measured), q[list(others)]])
-    best: Together | None = None
-    for degree in range(1, DEGREES.get(n, 3) + 1):
-        start = Start.fitted(degree, inputs.mean(axis=1), np.ptp(inputs, axis=1) / 2, inputs, q[list(own)], 1e-9)
-        at, error = q.copy(), np.inf
-        at[list(own)] = start.coefficients @ np.array(start.terms(moved_inputs))
-        for steps in range(1, MOST + 1 if best is None else best.steps):
-            found, arms = lengths(at)
-            if not np.all(np.isfinite(found)) or not np.all(np.isfinite(arms)):
-                break
-            at[list(own)] += np.einsum("nji,in->jn", np.linalg.pinv(arms), measured - found)
-            before, error = error, float(np.max(np.abs(at[list(own)] - q[list(own)])))
-            if before < NEARLY and error < ROUNDING * (1 + float(np.max(np.abs(q)))):
-                best = Together(own, read, others, start, steps)
-                break
-        if best is not None and best.steps <= FEW:
-            break
-    return best
+    other = np.vstack([measured + CALIBRATED * moved_aside(measured), q[list(others)]])
+
+    def step(at: Array) -> Array:
+        tried = q.copy()
+        tried[list(own)] = at
+        found, arms = lengths(tried)
+        if not np.all(np.isfinite(found)) or not np.all(np.isfinite(arms)):
+            return np.full_like(at, np.nan)
+        return np.asarray(at + np.einsum("nji,in->jn", np.linalg.pinv(arms), measured - found))
+
+    made = newton_start(inputs, q[list(own)], lambda start: start.coefficients @ np.array(start.terms(other)), step)
+    return Together(own, read, others, *made) if made else None
