@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.actuators import Drive, Motor
+from hydroopt.machine.actuators import Drive, Motor, TorqueFriction
 from hydroopt.machine.file_tables import build_machine, machine_file_tables
+from hydroopt.machine.links import JointFriction
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.robot_formats.frames import APART, central, inverse
 from hydroopt.machine.robot_formats.machine_tree import machine_tree, mimicking
@@ -90,13 +91,14 @@ def _change_joint(machine: Machine, parts: dict[str, Any], before: TreeJoint, no
     """
     name, stated = before.name, machine.link(before.name).joint
     unit, effort = ("m", "N") if before.kind == "prismatic" else ("rad", "N*m")
-    joint, friction = parts[name]["joint"], stated.friction
+    joint: dict[str, Any] = parts[name]["joint"]
+    friction: JointFriction | TorqueFriction = stated.friction
     rows: list[tuple[dict[str, Any], str, float | None, float | None, str]] = [
         (joint, "theta", 0.0, math.atan2(rest[1, 0], rest[0, 0]), "rad"), (joint, "d", 0.0, float(rest[2, 3]), "m"),
         (joint, "max_speed", before.max_speed, now.max_speed, f"{unit}/s")]
     if not stated.dependent:
         rows += [(joint, key, getattr(before, key), getattr(now, key), unit) for key in ("lower", "upper")]
-    carrier = joint
+    carrier: dict[str, Any] = joint
     for each in machine.drivers.get(name, ()):
         if isinstance(each, Motor | Drive):
             carrier, friction = parts[each.name], each.friction

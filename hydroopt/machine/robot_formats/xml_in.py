@@ -6,7 +6,7 @@ What URDF states in attributes SDF states in elements of its own; both have the 
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -58,7 +58,7 @@ def read_urdf(path: str | Path) -> RobotTree:
         kind, ends = _kind_and_ends(node, masses, (*KINDS, *_LOOSE))
         moves = {} if KINDS.get(kind, "fixed") == "fixed" else _moving(
             node, node, node.at("axis").numbers("xyz", (1.0, 0.0, 0.0)), kind, math.nan)
-        joints[name] = TreeJoint(name, KINDS.get(kind, "fixed"), **ends, origin=node.origin(),
+        joints[name] = TreeJoint(name, KINDS.get(kind, "fixed"), ends["parent"], ends["child"], node.origin(),
                                  gear=gears.get(name, 1.0), **moves)
     children = {joint.child for joint in joints.values()}
     loose = [name for name, node in stated.items() if node.stated["type"] in _LOOSE]
@@ -164,8 +164,7 @@ def _unsupported(joint: Node) -> MachineError:
                         remedy=f"make it {', '.join(KINDS)}")
 
 
-def _kind_and_ends(joint: Node, links: Container[str] & Iterable[str], kinds: Container[str]
-                   ) -> tuple[str, dict[str, str]]:
+def _kind_and_ends(joint: Node, links: Collection[str], kinds: Collection[str]) -> tuple[str, dict[str, str]]:
     """Type of a joint, and its parent and child.
 
     Raises:
