@@ -31,7 +31,7 @@ def sizes() -> dict[str, int]:
             "constants": sum(is_numeric_constant(node) for text in python for node in ast.parse(text).body)}
 
 
-@pytest.mark.parametrize(("what", "most"), {"lines": 73_600, "own C": 450, "constants": 601}.items())
+@pytest.mark.parametrize(("what", "most"), {"lines": 73_500, "own C": 450, "constants": 598}.items())
 def test_the_package_does_not_grow(sizes: dict[str, int], what: str, most: int) -> None:
     """Who adds takes away in the same change; who takes away lowers the bound."""
     assert sizes[what] <= most

@@ -401,8 +401,8 @@ def _by_gravity(gravity: float, scores: Mapping[str, Sequence[tuple[int, ColumnO
     sizes: dict[str, list[float]] = {"m/s^2": []}
     fit = np.zeros(4)
     for name in dict.fromkeys(channel.rpartition(".")[0] for channel in named if channel.endswith(".accel_x")):
-        accelerations, rates = ([each[0] for end in ends if len(each := named.get(f"{name}.{end}", ())) == 1]
-                                for ends in (list(ACCELEROMETER), list(GYROSCOPE)))
+        accelerations, rates = ([found[0] for end in ends for found in [named.get(f"{name}.{end}", [])]
+                                 if len(found) == 1] for ends in (ACCELEROMETER, GYROSCOPE))
         if len(accelerations) < 3:
             continue
         lengths = np.linalg.norm([each.values for each in accelerations], axis=0)

@@ -50,7 +50,8 @@ def render(comparison: Comparison) -> str:
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
         rows=[_row(comparison, outcome) for outcome in comparison.outcomes],
-        gains=[(name, unit_text(one.unit), plain(one.value, 3)) for name, one in comparison.parameters.items() if one.value is not None],
+        gains=[(name, unit_text(one.unit), plain(one.value, 3)) for name, one in comparison.parameters.items()
+               if one.value is not None],
         lost=_lost(comparison),
         passive=[joint for joint in machine.joints if machine.link(joint).joint.passive],
         loops=[row for outcome in comparison.kinds_of_loops for row in _loops(comparison, outcome)])
