@@ -6,14 +6,14 @@ import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from hydroopt.control.closed_loop import Controller, Run, simulate, tip
 from hydroopt.control.linear_plant import Point, point
 from hydroopt.control.reference import Demands, Reference, steady_speeds
-from hydroopt.control.tuning import SENSITIVITY
+from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY, SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.model.hanging import Hanging
@@ -158,6 +158,7 @@ class Setting:
         rate: of the controller [Hz].
         seed: of the sensors' errors; None for none.
         sensitivity: largest sensitivity for which gains are tuned.
+        complementary_sensitivity: largest complementary one, the same for all.
         gain: factor on the tuned position gains.
         bias: by which the readings of the joints' angles are off (n,) [rad or m]; None for no bias.
     """
@@ -170,6 +171,7 @@ class Setting:
     rate: float
     seed: int | None = 0
     sensitivity: float = SENSITIVITY
+    complementary_sensitivity: ClassVar[float] = COMPLEMENTARY_SENSITIVITY
     gain: float = 1.0
     bias: Array | None = None
 

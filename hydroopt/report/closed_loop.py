@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hydroopt.control.tuning import COMPLEMENTARY_SENSITIVITY
 from hydroopt.report.charts import LOOKS, Chart, Curves, Plane
 from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
@@ -45,7 +44,7 @@ def render(comparison: Comparison) -> str:
         scene=SceneView(setting.plant.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)),
         machine=machine, origin=comparison.source,
         truth=setting.true.text, rate=plain(setting.rate),
-        complement=plain(COMPLEMENTARY_SENSITIVITY),
+        complement=plain(setting.complementary_sensitivity),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
@@ -160,7 +159,7 @@ def _bode(comparison: Comparison) -> list[Curves]:
 def _nyquist(comparison: Comparison) -> list[Plane]:
     """Nyquist curves of the same loops, with the circles that both sensitivities keep them out of."""
     made, radius = [], 1 / comparison.setting.sensitivity
-    square = COMPLEMENTARY_SENSITIVITY**2
+    square = comparison.setting.complementary_sensitivity**2
     circles = ((-1.0, 0.0, radius), (-square / (square - 1), 0.0, np.sqrt(square) / (square - 1)))
     for k, each in enumerate(comparison.setting.plant.actuators):
         curves = [(outcome, look, outcome.loops.cut[k]) for outcome, look in _shown(comparison)]

@@ -45,7 +45,7 @@ class Estimate(Identification, Answer):
         >>> logs = [ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions)]
         >>> estimate = ho.solve(ho.identification_problem(model, logs[:1], logs[1:]), seed=1)
         >>> estimate
-        <identification of patu655_lift by sdp: ok, 52 parameters, 2 diagnostics>
+        <identification of patu655_lift by sdp: ok, 52 parameters, 3 diagnostics>
         >>> estimate.parameters["lift_cylinder.f_coulomb"].unit
         'N'
         >>> [str(diagnostic.kind) for diagnostic in estimate.diagnostics][:1]

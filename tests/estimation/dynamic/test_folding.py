@@ -13,7 +13,7 @@ from hydroopt.simulation.simulate import random_trajectory
 def test_the_pattern_misses_no_entry(cat215b: Model) -> None:
     motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=2)
     K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
-    np.testing.assert_array_equal(np.any(K != 0, axis=0), cat215b.regressor_pattern)
+    assert not np.any((K != 0) & ~cat215b.regressor_pattern)
 
 
 @pytest.mark.parametrize("middle", [-1, 1, 100, 1000])

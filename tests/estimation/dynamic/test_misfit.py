@@ -44,7 +44,7 @@ def test_a_sound_log_raises_no_alarm(crane: Model, sound: Log) -> None:
     assert not estimate.misfit.unexplained
     assert not estimate.misfit.found
     assert estimate.status == "ok"
-    assert "smallest faults that would show" in {each.kind for each in estimate.findings}
+    assert "smallest faults that would show" in {each.kind for each in estimate.diagnostics}
 
 
 def test_samples_of_a_long_logs_blocks_tell_faults_as_all_samples_do(

@@ -59,7 +59,7 @@ def test_the_command_ends_with_3_unless_forced(log: ho.Log, tmp_path: Path) -> N
     assert isinstance(done.exception, SolverError), done.output
     assert done.exception.exit_code == 3
     assert "or accept it with --force" in str(done.exception)
-    assert "contradicts the machine file" in done.output
+    assert "suspect. Read with all pressures in bar" in done.output
     assert not (tmp_path / "out/cat215b.toml").exists()
     assert ho.load(tmp_path / "out").status is Status.SUSPECT
 
